@@ -33,13 +33,13 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, Predictor
 from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.log_file import LogFile, likely_rows
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Range, Recording, Whole, by_log
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.model.torque import TorqueModel, known_rotors
-from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -92,7 +92,7 @@ class ResidualSurvey:
 
 
 def residual_survey(
-    log: Recording | SurveyedLog,
+    log: Recording | LongLog,
     number: int = 0,
     *,
     robot: Robot,
@@ -104,7 +104,7 @@ def residual_survey(
 
     Parameters
     ----------
-    log : Recording or SurveyedLog
+    log : Recording or LongLog
         The motion is that of its encoders. Of one that is passed over, the model has
         those of its effects that can be told part by part.
     number : int
@@ -157,7 +157,7 @@ def residual_survey(
         whole=log.whole,
         samples=log.samples,
         rate_hz=log.rate_hz,
-        passed_over=isinstance(log, SurveyedLog),
+        passed_over=isinstance(log, LongLog),
         squares=table[:, :n],
         counts=table[:, n : 2 * n],
         travel=table[:, 2 * n : 4 * n].reshape(-1, 2, n).swapaxes(1, 2),
@@ -195,11 +195,11 @@ class _PlacesInSpans:
 
 
 def _parts(
-    log: Recording | SurveyedLog, robot: Robot, stages: Stages, options: InertiaOptions
+    log: Recording | LongLog, robot: Robot, stages: Stages, options: InertiaOptions
 ) -> Iterable[LogPrediction]:
     """Predict a log, part by part if it is not held."""
     effects = fitted_effects(stages, robot, unexplained=True)
-    if isinstance(log, SurveyedLog):
+    if isinstance(log, LongLog):
         effects = [effect for effect in effects if effect.local]
     predictor = Predictor(
         model=TorqueModel.from_stages(stages, robot),

@@ -29,11 +29,11 @@ from seqid_cli.identify.rigid.cutoff_choice import (
     choose_cutoff,
 )
 from seqid_cli.identify.settings import CutoffSettings
+from seqid_cli.logs import long as long_logs
+from seqid_cli.logs.long import LongLog, open_if_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import SurveyedLog, open_if_long
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
@@ -82,7 +82,7 @@ def _survey(
     time_source = options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
-        log: Recording | SurveyedLog
+        log: Recording | LongLog
         if isinstance(given, Recording):
             log = given
         else:
@@ -90,7 +90,7 @@ def _survey(
             long = None
             if not fuses:
                 long = open_if_long(
-                    file, robot, time_source=time_source, least=blocks.LONG
+                    file, robot, time_source=time_source, least=long_logs.LONG
                 )
             log = long or read_recording(file, robot, time_source=time_source)
 

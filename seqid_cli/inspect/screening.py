@@ -18,12 +18,12 @@ from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import InspectSettings
-from seqid_cli.logs.long import Bridge
+from seqid_cli.logs.long import Bridge, LongLog, open_if_long
 from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Block, Health, Recording
 from seqid_cli.logs.tables.parquet import BLOCK_ROWS
-from seqid_cli.motion.blocks import SurveyedLog, joined, open_if_long, overlapping
+from seqid_cli.motion.blocks import joined, overlapping
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Index
@@ -41,7 +41,7 @@ class Screened(NamedTuple):
 class Opened(NamedTuple):
     """A log without its damaged samples, held or passed over, and the findings."""
 
-    log: Recording | SurveyedLog
+    log: Recording | LongLog
     findings: Findings
 
 
@@ -128,18 +128,18 @@ def open_screened(
 
 
 def screened_long(
-    log: SurveyedLog,
+    log: LongLog,
     robot: Robot,
     *,
     pieces: int = 8,
     piece_s: float = 20,
     overlap_s: float = 1.0,
-) -> tuple[SurveyedLog, Findings]:
+) -> tuple[LongLog, Findings]:
     """Check a log that is passed over.
 
     Parameters
     ----------
-    log : SurveyedLog
+    log : LongLog
         A log that is too long to be held.
     robot : Robot
         The arm.
@@ -151,7 +151,7 @@ def screened_long(
 
     Returns
     -------
-    log : SurveyedLog
+    log : LongLog
         The log with bridges over damaged samples.
     findings : tuple of InspectionFinding
         Each code once per joint and channel.
@@ -187,7 +187,7 @@ class _BreakSearch:
     """
 
     def __init__(
-        self, log: SurveyedLog, robot: Robot, *, pieces: int, piece_s: float
+        self, log: LongLog, robot: Robot, *, pieces: int, piece_s: float
     ) -> None:
         self.log = log
         self.robot = robot
@@ -241,7 +241,7 @@ def _consecutive(rows: Index) -> Iterable[Index]:
 
 
 def _as_recording(
-    piece: Block, log: SurveyedLog, first_block: RawLog, warnings: tuple[str, ...]
+    piece: Block, log: LongLog, first_block: RawLog, warnings: tuple[str, ...]
 ) -> tuple[Recording, RawLog]:
     """Make a recording of a piece, and the raw log of it."""
     rows = piece.start + np.arange(len(piece.q))

@@ -9,7 +9,7 @@ increase and whose rows hold every joint, but not where samples come in bursts o
 M is the number of rows of a block, n the number of joints.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import starmap
 from pathlib import Path
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.logs.first_pass import FirstPass, UnevenError
-from seqid_cli.logs.log_file import LogFile
+from seqid_cli.logs.log_file import LogFile, likely_rows
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.publishers import second_publisher
@@ -31,8 +31,8 @@ from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+LONG = 200_000  # samples from which on a log is better passed over than held
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
-Watch = Callable[[float, Array], None]
 _ALL = "position and torque"  # one channel (M, 2 n) of both, resampled at once
 
 
@@ -203,7 +203,6 @@ def open_long(
     robot: Robot,
     *,
     time_source: TimeSource = "header",
-    watch: Watch | None = None,
 ) -> LongLog | None:
     """Pass over a log once and lay its time base.
 
@@ -215,9 +214,6 @@ def open_long(
         Names of joints and channels; drive data that turn current into torque.
     time_source : {"header", "log"}
         MCAP only: the stamps in the messages, or the times of logging.
-    watch : callable, optional
-        Shown the rate [Hz] that the first rows have, and positions (M, n) as logged:
-        the samples of the base if the log is `exact`.
 
     Returns
     -------
@@ -236,11 +232,8 @@ def open_long(
     spool = Spool()
     try:
         for raw, rows in _rows(file, robot):
-            values = rows.channels[_ALL]
             first_pass.push(rows.stamp_ns, raw)
-            spool.push(rows.stamp_ns, values)
-            if watch is not None:
-                watch(1e9 / first_pass.usual_step, values[:, : robot.n])
+            spool.push(rows.stamp_ns, rows.channels[_ALL])
         base = first_pass.base()
     except UnevenError:
         return None
@@ -258,6 +251,19 @@ def open_long(
         warnings=tuple(first_pass.warnings),
         spool=spool if spool.complete else None,
     )
+
+
+def open_if_long(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int
+) -> LongLog | None:
+    """Open a log of `least` samples or more to be passed over.
+
+    None where it is shorter, or has to be read as a whole.
+    """
+    if likely_rows(path) < least:
+        return None
+    log = open_long(path, robot, time_source=time_source)
+    return log if log is not None and log.samples >= least else None
 
 
 def _rows(log: LogFile, robot: Robot) -> Iterator[tuple[RawLog, Stream]]:

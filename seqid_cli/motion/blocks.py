@@ -8,22 +8,16 @@ runs' ends like in the whole log.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from seqid_cli.logs.log_file import likely_rows
-from seqid_cli.logs.long import LongLog, open_long
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Block
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE
-from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import Motion, filtered_motion, thinned
 from seqid_cli.motion.segmentation import motion_reach, moving_mask
-from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
@@ -59,7 +53,6 @@ class Plan:
         return Lowpass(self.cutoff.hz, self.rate_hz)
 
 
-LONG = 200_000  # samples from which on a log is better passed over than held
 LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
 
 
@@ -177,51 +170,3 @@ def overlapping(
         yield samples.part(slice(0, min(stop + margin, n_held))), n_before, stop
         held = [samples]
         n_before = stop
-
-
-@dataclass(frozen=True)
-class SurveyedLog(LongLog):
-    """A long log with what there is to know of its positions."""
-
-    survey: Survey | None = None
-
-
-def open_surveyed(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header"
-) -> SurveyedLog | None:
-    """Open a log to be passed over, and survey it, in one pass if possible.
-
-    None where `open_long` returns None.
-    """
-    surveys: list[Survey] = []
-
-    def watch(rate_hz: float, q: Array) -> None:
-        if not surveys:
-            surveys.append(Survey(robot.n, rate_hz))
-        surveys[0].push(q)
-
-    log = open_long(path, robot, time_source=time_source, watch=watch)
-    if log is None:
-        return None
-
-    # The rate is known for certain at the log's end: another one may need other
-    # segments of the spectra.
-    survey = surveys[0]
-    if not (log.exact and survey.at_rate(log.rate_hz, log.samples)):
-        survey = Survey(robot.n, log.rate_hz, log.samples)
-        for block in log.blocks():
-            survey.push(block.q)
-    return SurveyedLog(**vars(log), survey=survey)
-
-
-def open_if_long(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int
-) -> SurveyedLog | None:
-    """Open a log of `least` samples or more to be passed over.
-
-    None where it is shorter, or has to be read as a whole.
-    """
-    if likely_rows(path) < least:
-        return None
-    log = open_surveyed(path, robot, time_source=time_source)
-    return log if log is not None and log.samples >= least else None

@@ -32,7 +32,7 @@ def seqid(
     """The inertia stage as the command runs it."""
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.inertia import identify_inertia
-    from seqid_cli.motion.blocks import open_surveyed
+    from seqid_cli.logs.long import open_long
     from seqid_cli.motion.options import MotionOptions
     from seqid_cli.robot.file import load_robot
 
@@ -41,7 +41,7 @@ def seqid(
     options = InertiaOptions(source="encoder", motion=motion)
 
     def run() -> Found:
-        opened = open_surveyed(log, robot)
+        opened = open_long(log, robot)
         if opened is None:
             raise RuntimeError(f"{log} cannot be passed over")
         stage = identify_inertia(

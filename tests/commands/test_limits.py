@@ -31,6 +31,7 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.discover import excerpts
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
+from seqid_cli.logs import long as long_logs
 from seqid_cli.logs import pieces
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.motion import blocks
@@ -185,7 +186,7 @@ def test_long_logs_give_the_same_files(
 
     held, expected = predict("held")
     assert not parts
-    monkeypatch.setattr(blocks, "LONG", 5_000)
+    monkeypatch.setattr(long_logs, "LONG", 5_000)
     monkeypatch.setattr(LongPrediction, "rows", 1_500)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 2_000)
     long, found = predict("long")

@@ -31,11 +31,11 @@ from seqid_cli.identify.prediction.predict import local_effects, predict
 from seqid_cli.identify.regression.equations import streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.log_file import likely_rows
+from seqid_cli.logs.long import LONG, LongLog, open_if_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.blocks import LONG, SurveyedLog, open_if_long
 from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.params.schema import JointRmse, Stages
 from seqid_cli.robot.types import Robot
@@ -142,7 +142,7 @@ class Gain:
 
 
 def held_out_error(
-    logs: Iterable[Recording | SurveyedLog],
+    logs: Iterable[Recording | LongLog],
     robot: Robot,
     stages: Stages,
     options: InertiaOptions,
@@ -151,7 +151,7 @@ def held_out_error(
 
     Parameters
     ----------
-    logs : iterable of Recording or SurveyedLog
+    logs : iterable of Recording or LongLog
         Long logs are passed over in parts; the result is the same.
     robot : Robot
         The arm.
@@ -267,7 +267,7 @@ class WholeLogs:
                 errors.append(held_out_error([log], self.robot, stages, options))
         return joined(errors)
 
-    def _opened(self, file: Path) -> Recording | SurveyedLog | None:
+    def _opened(self, file: Path) -> Recording | LongLog | None:
         """Open a log to pass over it, or read a short one; None if neither can be."""
         n_rows = likely_rows(file)
         if n_rows >= LONG:

@@ -10,9 +10,10 @@ from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.regression.equations import survey_of
+from seqid_cli.logs import long as long_logs
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Block, Recording, UniformLog
-from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import SurveyedLog, joined
+from seqid_cli.motion.blocks import joined
 from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import (
@@ -91,14 +92,14 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 
     Raises InputError where a log has no torque.
     """
-    logs = mapped(recordings, partial(trials_of, robot), blocks.LONG)
+    logs = mapped(recordings, partial(trials_of, robot), long_logs.LONG)
     return sorted(
         (trial for trials in logs for trial in trials), key=lambda trial: trial.speed
     )
 
 
 def trials_of(
-    robot: Robot, log: Recording | SurveyedLog, number: int, *, rows: int = 65_536
+    robot: Robot, log: Recording | LongLog, number: int, *, rows: int = 65_536
 ) -> list[Trial]:
     """Return constant-velocity trials of one log.
 

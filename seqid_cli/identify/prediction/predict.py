@@ -19,12 +19,13 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
+from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.log_file import LogFile
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
-from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import Plan, SurveyedLog, motion_blocks, overlapping
+from seqid_cli.motion.blocks import Plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.types import Robot
@@ -199,7 +200,7 @@ def predict(
     )
 
     can_stream = equations.streams(stages, options) and local_effects(model, effects)
-    pass_over_from = blocks.LONG if can_stream else None
+    pass_over_from = long_logs.LONG if can_stream else None
     for parts in mapped(recordings, predictor, pass_over_from):
         yield from parts
 
@@ -225,14 +226,14 @@ class Predictor:
     sliding_only: bool = False
     bands: Bands | None = None  # None: without standard deviations
 
-    def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
+    def __call__(self, log: Recording | LongLog, _: int) -> Iterable[LogPrediction]:
         """Predict a log; its number among the logs does not matter."""
         robot = self.model.robot
         # Every sample is predicted, while the equations of a stage are thinned.
         options = replace(self.options.motion, samples_per_cutoff=float("inf"))
-        if isinstance(log, SurveyedLog):
+        if isinstance(log, LongLog):
             plan = equations.plan_of(log, robot, options)
-            return LongPrediction(replace(log, survey=None), log.sha256, plan, self)
+            return LongPrediction(log, log.sha256, plan, self)
 
         motion = equations.torque_motion(
             log, robot, options, imu=self.stages.imu, source=self.options.source
@@ -356,7 +357,7 @@ class LongPrediction:
 
     rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
 
-    log: SurveyedLog
+    log: LongLog
     sha256: str  # the local copy of a remote log is gone when the parts are asked for
     plan: Plan
     predictor: Predictor

@@ -1,11 +1,11 @@
 """The motion of one log and how files describe it; rows of its torque equation (Eq. 4).
 
-A log that is held has its motion in one block. A long one is passed over twice, in
-memory that does not grow with it: to lay its time base and choose its cut-off
-(`motion.filters.survey`; a third time where its stamps are uneven), and to filter,
-decimate and reduce its equations block by block. Both give the same: blocks are cut on
-the same grid, filtered with all the samples that the filter remembers, and reduced to
-the same factors (`rigid.inertia_equations`).
+A log that is held has its motion in one block. A long one is passed over several times,
+in memory that does not grow with it: to lay its time base, to look for damaged samples,
+to choose its cut-off (`motion.filters.survey`), and to filter, decimate and reduce its
+equations block by block. Both give the same: blocks are cut on the same grid, filtered
+with all the samples that the filter remembers, and reduced to the same factors
+(`rigid.inertia_equations`).
 """
 
 import contextlib
@@ -17,8 +17,9 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan
+from seqid_cli.motion.blocks import Plan, make_plan
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.survey import Survey, survey_of_positions
 from seqid_cli.motion.imu.link_acceleration import log_motion
@@ -43,15 +44,17 @@ def streams(stages: Stages, options: InertiaOptions) -> bool:
     )
 
 
-def survey_of(log: Recording | SurveyedLog) -> Survey:
-    """Noise steps and cut-off by a log's positions."""
+def survey_of(log: Recording | LongLog) -> Survey:
+    """Return what the choice of noise steps and cut-off needs of a log's positions."""
     if isinstance(log, Recording):
         return survey_of_positions(log.q, log.rate_hz)
-    assert log.survey is not None
-    return log.survey
+    survey = Survey(log.robot.n, log.rate_hz, log.samples)
+    for block in log.blocks():
+        survey.push(block.q)
+    return survey
 
 
-def plan_of(log: SurveyedLog, robot: Robot, options: MotionOptions) -> Plan:
+def plan_of(log: LongLog, robot: Robot, options: MotionOptions) -> Plan:
     """How a log that is passed over is filtered."""
     resolution, survey = encoder_resolution(robot), survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)

@@ -44,9 +44,9 @@ from seqid_cli.identify.rigid.inertia_equations import (
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
+from seqid_cli.logs import long as long_logs
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
 from seqid_cli.robot.types import Robot
@@ -91,7 +91,7 @@ class LogRows:
 
 
 def identify_inertia(
-    recordings: Iterable[Recording | SurveyedLog],
+    recordings: Iterable[Recording | LongLog],
     robot: Robot,
     stages: Stages,
     *,
@@ -102,7 +102,7 @@ def identify_inertia(
 
     Parameters
     ----------
-    recordings : iterable of Recording or SurveyedLog
+    recordings : iterable of Recording or LongLog
         Moves of two joints or more at a time; a `LogSet` is read log by log.
     robot : Robot
     stages : Stages
@@ -130,7 +130,7 @@ def identify_inertia(
     # whoever reduces the logs does not look inside
     logs = cast("Iterable[Recording]", recordings)
     can_stream = by_encoders is None and streams(stages, options)
-    pass_over_from = blocks.LONG if can_stream else None
+    pass_over_from = long_logs.LONG if can_stream else None
     rows_of_log = partial(_rows_of_log, equations, by_encoders)
     each_log = list(mapped(logs, rows_of_log, pass_over_from))
     together = reduce(add, each_log) if each_log else None
@@ -214,7 +214,7 @@ def _with_agreement(
 def _rows_of_log(
     equations: InertiaEquations,
     by_encoders: InertiaEquations | None,
-    log: Recording | SurveyedLog,
+    log: Recording | LongLog,
     _: int,
 ) -> LogRows:
     """Reduce one log's equations, and those by its encoders where they are wanted."""

@@ -36,6 +36,7 @@ from seqid_cli.identify.regression.least_squares import (
 from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.tolerances import deviation_torques, deviations
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionFamily, FrictionSurface
 from seqid_cli.model.torque import (
@@ -44,7 +45,7 @@ from seqid_cli.model.torque import (
     sampled_families,
     sliding,
 )
-from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
+from seqid_cli.motion.blocks import motion_blocks, overlapping
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
@@ -208,7 +209,7 @@ class InertiaEquations:
         ]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
-    def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
+    def rows_of(self, log: Recording | LongLog) -> InertiaRows:
         """Return the rows of one log, reduced.
 
         Raises
@@ -289,7 +290,7 @@ class InertiaEquations:
         rows.uses.append(equations.motion_use(log.path, self.robot, whole))
         return rows
 
-    def _motions_of(self, log: Recording | SurveyedLog) -> "LogMotions":
+    def _motions_of(self, log: Recording | LongLog) -> "LogMotions":
         """Return the motion of a log, in one part if held, else in many."""
         options = self.options.motion
         if isinstance(log, Recording):

@@ -21,7 +21,6 @@ from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask
 
 MOST_LEVELS = 65_536  # distinct positions of a joint; a step and noise show in fewer
-MANY = 1 << 60  # samples of a log whose end is not known
 
 
 class Welch:
@@ -92,7 +91,7 @@ class Survey:
     Positions (M, n) rad are pushed in order, in parts of any length.
     """
 
-    def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:
+    def __init__(self, n: int, rate_hz: float, samples: int) -> None:
         self.rate_hz = rate_hz
         self._levels: list[Array] = [np.zeros(0) for _ in range(n)]
         self._fourth = Thinned(MOST_LEVELS)
@@ -159,17 +158,6 @@ class Survey:
         # A joint that the fastest one shakes does not move.
         of_movers = np.where(travel > SHAKEN * largest, travel, 0.0)
         self._travel = np.maximum(self._travel, of_movers.max(axis=0))
-
-    def at_rate(self, rate_hz: float, samples: int) -> bool:
-        """Take the true rate and number of samples.
-
-        Returns False if they need other segments than were looked at.
-        """
-        lengths_used = _Lengths(
-            self._second.length, self._velocity.length, self._halves
-        )
-        self.rate_hz = rate_hz
-        return lengths_used == _lengths(rate_hz, samples)
 
     def encoder_step(self) -> Array:
         """Return the smallest steps (n,) rad of positions; zero if not quantised."""

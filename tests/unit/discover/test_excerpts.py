@@ -21,7 +21,7 @@ from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
-from seqid_cli.motion.blocks import open_surveyed
+from seqid_cli.logs.long import open_long
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.scale import processes
 from tests.unit.discover.long_logs import BEGUN, MOST, LongCase, long_case
@@ -180,7 +180,7 @@ def test_memory_of_the_pass_does_not_grow_with_the_log(
         repeated = replace(log, t=np.arange(len(q)) / log.rate_hz, q=q, tau=tau)
         path = replace(case, log=repeated).written(folder / f"{times}.parquet")
         del q, tau, repeated
-        surveyed = open_surveyed(path, case.robot)
+        surveyed = open_long(path, case.robot)
         gc.collect()
         tracemalloc.start()
         excerpts.residual_survey(surveyed, **known)

@@ -11,9 +11,9 @@ from seqid_cli.identify.friction_surface.trials import trials_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid import inertia_equations
 from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.logs.long import open_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.file import load_robot
@@ -49,7 +49,7 @@ def robot(folder: Path) -> Robot:
 def inertia_of(
     path: Path, robot: Robot, options: InertiaOptions = OPTIONS
 ) -> RigidStage:
-    opened = [open_surveyed(path, robot)]
+    opened = [open_long(path, robot)]
     return identify_inertia(opened, robot, known_friction(), options=options).inertia
 
 
@@ -132,7 +132,7 @@ def test_trials_are_those_of_the_held_log(
     t, path = np.arange(len(q)) / RATE_HZ, tmp_path / "log.parquet"
     write_parquet(path, t, JOINTS, quantise(q, 1e-6), torque=tau)
     pq.write_table(pq.read_table(path), path, row_group_size=3_000)
-    found = trials_of(robot, open_surveyed(path, robot), 0, rows=rows)
+    found = trials_of(robot, open_long(path, robot), 0, rows=rows)
     expected = trials_of(robot, read_recording(path, robot), 0)
     assert len(found) == len(expected) > 10
     for own, other in zip(found, expected, strict=True):

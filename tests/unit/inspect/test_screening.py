@@ -9,8 +9,8 @@ import pytest
 
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.inspect.screening import read_screened, screened_long
+from seqid_cli.logs.long import open_if_long
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.blocks import open_if_long
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.unit.inspect import planting as p

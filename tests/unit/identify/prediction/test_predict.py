@@ -20,10 +20,10 @@ from seqid_cli.identify.prediction.predict import (
     Predictor,
     predict,
 )
+from seqid_cli.logs.long import open_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
-from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
@@ -84,7 +84,7 @@ def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]
         TorqueModel.from_stages(stages, robot),
         fitted_effects(stages, robot),
     )
-    return Predictor(model, stages, OPTIONS, effects)(open_surveyed(path, robot), 0)
+    return Predictor(model, stages, OPTIONS, effects)(open_long(path, robot), 0)
 
 
 def held_of(path: Path, robot: Robot, stages: Stages) -> LogPrediction:

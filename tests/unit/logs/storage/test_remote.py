@@ -15,10 +15,10 @@ import pytest
 from seqid_cli import identify
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
+from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
 from seqid_cli.logs.storage.spool import Spool
-from seqid_cli.motion import blocks
 from tests import ROOT
 
 fsspec = pytest.importorskip("fsspec")
@@ -108,7 +108,7 @@ def test_damage_has_the_name_of_the_object(store: str, capsys: Captured) -> None
 def test_a_long_log_keeps_its_copy(
     store: str, monkeypatch: Patch, capsys: Captured
 ) -> None:
-    monkeypatch.setattr(blocks, "LONG", 1)
+    monkeypatch.setattr(long_logs, "LONG", 1)
     assert run(["inertia", store, *GIVEN, "--json"]) == 0
     stage = json.loads(capsys.readouterr().out)["stages"]["inertia"]
     assert [use["log"].split("/")[3] for use in stage["motion_use"]] == [
@@ -123,7 +123,7 @@ def test_a_long_log_is_predicted_when_its_copy_is_gone(
 ) -> None:
     assert run(["predict", store, *GIVEN, "--json"]) == 0
     held = json.loads(capsys.readouterr().out)
-    monkeypatch.setattr(blocks, "LONG", 1)
+    monkeypatch.setattr(long_logs, "LONG", 1)
     if not spooled:
         monkeypatch.setattr(Spool, "complete", False)
     assert run(["predict", store, *GIVEN, "--json"]) == 0

@@ -13,9 +13,9 @@ import pytest
 
 from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
+from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.storage.files import expand, time_of_log
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
-from seqid_cli.motion import blocks
 from tests import ROOT
 
 moto_server = pytest.importorskip("moto.server")
@@ -102,7 +102,7 @@ def test_the_result_is_that_of_local_logs(
 def test_a_long_log_is_passed_over(
     store: str, monkeypatch: Patch, capsys: Captured
 ) -> None:
-    monkeypatch.setattr(blocks, "LONG", 1)
+    monkeypatch.setattr(long_logs, "LONG", 1)
     assert run(["predict", store, *GIVEN, "--jobs", "1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [log["path"] for log in document["inputs"]] == [

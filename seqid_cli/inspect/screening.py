@@ -200,7 +200,7 @@ class _BreakSearch:
     def look_through(self, window: Block, low: int, high: int) -> None:
         """Look for breaks in a window; keep rows [low, high) of it that are wanted."""
         rows = window.start + np.arange(window.samples)
-        t = np.asarray(rows * self.log.step_s, dtype=np.float64)
+        t = np.asarray(rows * self.log.base.step_s, dtype=np.float64)
         for damage in breaks_of(self.robot, t, window.q):
             self.findings.append(damage.finding)
             self.bridges += _bridges(damage, window, self.log.rate_hz)
@@ -245,15 +245,15 @@ def _as_recording(
 ) -> tuple[Recording, RawLog]:
     """Make a recording of a piece, and the raw log of it."""
     rows = piece.start + np.arange(len(piece.q))
-    stamps = log.start_ns + np.rint(rows * log.step_s * 1e9).astype(np.int64)
+    stamps = log.base.start_ns + np.rint(rows * log.base.step_s * 1e9).astype(np.int64)
     recording = Recording(
         path=log.path,
         sha256="",
         format=log.format,
-        t=(rows - rows[0]) * log.step_s,
+        t=(rows - rows[0]) * log.base.step_s,
         q=piece.q,
         valid=piece.valid,
-        health=Health(log.rate_hz, log.jitter, warnings=warnings),
+        health=Health(log.rate_hz, log.base.jitter, warnings=warnings),
         tau=piece.tau,
         start=float(stamps[0]) * 1e-9,
         partial=log.partial,

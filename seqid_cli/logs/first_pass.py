@@ -12,7 +12,7 @@ import numpy as np
 
 from seqid_cli.logs.raw import BURSTS, GAP_INTERVALS, GAP_LEAST_S, RawLog, Stamps
 from seqid_cli.logs.thinned import Thinned
-from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM
+from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base
 from seqid_cli.typing import Array
 
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
@@ -20,18 +20,6 @@ GROUP = 256  # rows whose distance from the base is remembered by its extremes
 
 class UnevenError(Exception):
     """The log has to be read as a whole."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LongBase:
-    """The uniform time base of a long log, and how its stamps lie about it."""
-
-    start_ns: int
-    step_s: float
-    samples: int
-    jitter: float  # standard deviation of the interval over its median
-    exact: bool  # the stamps lie on the base
-    gaps: int
 
 
 @dataclass
@@ -45,6 +33,7 @@ class FirstPass:
     step_sum: float = 0.0  # of steps below the least gap
     squared_deviation: float = 0.0  # of these steps from the usual one, summed
     long_steps: list[Array] = field(default_factory=list)  # above the least gap
+    long_ends: list[Stamps] = field(default_factory=list)  # where these end
     n_missing: float = 0.0  # samples missing in longer steps below the least gap
     steps: Thinned = field(default_factory=Thinned)
     # (groups, 3): first row, least and largest offset from even stamps
@@ -70,17 +59,18 @@ class FirstPass:
             self.first_ns = int(stamps[0])
             self.usual_step = float(np.median(steps))
 
-        self._add_steps(steps)
+        self._add_steps(steps, stamps[len(stamps) - len(steps) :])
         if sum(map(len, self.long_steps)) > most_gaps:
             raise UnevenError
         self._add_offsets(stamps)
         self.n_rows += len(stamps)
         self.last_ns = int(stamps[-1])
 
-    def _add_steps(self, steps: Array) -> None:
+    def _add_steps(self, steps: Array, ends: Stamps) -> None:
         self.steps.push(steps)
         is_long = steps > GAP_LEAST_S * 1e9
         self.long_steps.append(steps[is_long])
+        self.long_ends.append(ends[is_long])
         short = steps[~is_long] if is_long.any() else steps
         self.step_sum += short.sum()
         self.squared_deviation += np.square(short - self.usual_step).sum()
@@ -96,7 +86,7 @@ class FirstPass:
         largest = np.maximum.reduceat(offset, starts)
         self.offsets.append(np.stack([row[starts], least, largest], axis=1))
 
-    def base(self, *, stretch: float = 20.0) -> LongBase:
+    def base(self, *, stretch: float = 20.0) -> Base:
         """Lay the base as `timebase.make_base` does.
 
         Raises UnevenError where samples come in bursts, where the interval changes, or
@@ -130,13 +120,15 @@ class FirstPass:
         if span_s / step_s > stretch * self.n_rows:
             raise UnevenError
         samples = int(np.floor(span_s / step_s + 1e-6)) + 1
-        return LongBase(
+        gap_ends = (np.concatenate(self.long_ends)[is_gap] - self.first_ns) * 1e-9
+        gap_starts = gap_ends - long_steps[is_gap] * 1e-9
+        return Base(
             start_ns=self.first_ns,
             step_s=step_s,
-            samples=samples,
+            count=samples,
             jitter=jitter,
             exact=samples == self.n_rows and self._lies_on_base(step_s),
-            gaps=n_gaps,
+            gaps=tuple(zip(gap_starts.tolist(), gap_ends.tolist(), strict=True)),
         )
 
     def _lies_on_base(self, step_s: float) -> bool:

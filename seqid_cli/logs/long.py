@@ -66,12 +66,7 @@ class LongLog:
     path: Path  # as results name it
     file: LogFile
     robot: Robot
-    start_ns: int
-    step_s: float
-    samples: int
-    jitter: float
-    exact: bool  # the stamps lie on the base
-    gaps: int
+    base: Base
     partial: str = ""
     warnings: tuple[str, ...] = ()
     mended: tuple[str, ...] = ()  # a log that must be mended is read as a whole
@@ -89,19 +84,24 @@ class LongLog:
         return self.file.sha256
 
     @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.base.count
+
+    @property
     def rate_hz(self) -> float:
         """Samples per second."""
-        return 1.0 / self.step_s
+        return 1.0 / self.base.step_s
 
     @property
     def start(self) -> float:
         """The first sample on the log's own clock, s."""
-        return self.start_ns * 1e-9
+        return self.base.start_ns * 1e-9
 
     @property
     def length(self) -> float:
         """Seconds from the first sample to the last."""
-        return (self.samples - 1) * self.step_s
+        return (self.samples - 1) * self.base.step_s
 
     @property
     def whole(self) -> Whole:
@@ -118,7 +118,7 @@ class LongLog:
         Raises InputError if the file has changed since the first pass.
         """
         rows = self._logged_rows()
-        blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
+        blocks = self._as_logged(rows) if self.base.exact else self._resampled(rows)
 
         for block in blocks:
             # Bridges are written into copies: a block may be a view of read-only rows.
@@ -154,15 +154,15 @@ class LongLog:
             pending = joined([pending, part])
             if len(pending) > 4 * MARGIN:
                 # Behind this stamp the next rows could still change the spline.
-                settled_ns = int(pending.stamp_ns[-MARGIN]) - self.start_ns
-                stop = min(self.samples, int(settled_ns * 1e-9 / self.step_s))
+                settled_ns = int(pending.stamp_ns[-MARGIN]) - self.base.start_ns
+                stop = min(self.samples, int(settled_ns * 1e-9 / self.base.step_s))
                 yield from self._between(pending, start, stop)
                 start = max(start, stop)
                 pending = pending.take(slice(self._first_row(pending, start), None))
         yield from self._between(pending, start, self.samples)
 
     def _stamp_of(self, sample: int) -> int:
-        return self.start_ns + int(sample * self.step_s * 1e9)
+        return self.base.start_ns + int(sample * self.base.step_s * 1e9)
 
     def _first_row(self, rows: Stream, sample: int) -> int:
         """Return the first row that matters to a sample: a little before it."""
@@ -174,15 +174,7 @@ class LongLog:
         n = self.robot.n
         for first in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - first)
-            window = Base(
-                self.start_ns,
-                self.step_s,
-                count,
-                jitter=self.jitter,
-                exact=False,
-                gaps=(),
-                first=first,
-            )
+            window = self.base.window(first, count)
             # Only the rows around the window: a hole may be much longer than a block.
             end_ns = self._stamp_of(first + count)
             stop_row = int(np.searchsorted(rows.stamp_ns, end_ns, side="right"))
@@ -241,12 +233,7 @@ def open_long(
         path=path,
         file=file,
         robot=robot,
-        start_ns=base.start_ns,
-        step_s=base.step_s,
-        samples=base.samples,
-        jitter=base.jitter,
-        exact=base.exact,
-        gaps=base.gaps,
+        base=base,
         partial=first_pass.partial,
         warnings=tuple(first_pass.warnings),
         spool=spool if spool.complete else None,

@@ -10,7 +10,7 @@ M is the number of samples as they were logged, N the number on the base, w the 
 of columns of a channel.
 """
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -33,7 +33,7 @@ class Base:
     step_s: float
     count: int
     _: KW_ONLY
-    jitter: float
+    jitter: float  # standard deviation of the samples' interval over its median
     exact: bool  # whether the joint samples lie on it
     gaps: Gaps
     first: int = 0  # number of its first sample
@@ -42,6 +42,10 @@ class Base:
     def t(self) -> Array:
         """Seconds since sample 0, (N,)."""
         return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
+
+    def window(self, first: int, count: int) -> "Base":
+        """Return `count` samples from number `first` on, to resample rows to them."""
+        return replace(self, first=first, count=count, exact=False, gaps=())
 
 
 @dataclass(frozen=True)

@@ -393,7 +393,7 @@ class LongPrediction:
                     t=motion.t,
                     q=motion.q,
                     valid=motion.valid,
-                    health=Health(log.rate_hz, log.jitter),
+                    health=Health(log.rate_hz, log.base.jitter),
                     start=log.start,
                 )
                 part = self.predictor.part(motion, recording, slice(start, stop))

@@ -129,12 +129,7 @@ class LogFile:
             (raw,) = _READERS[self.format](
                 self.file, robot, self.time_source, rows=None
             )
-        joints, wraps_by_joint = in_turns(raw.joints, robot)
-        notes = [
-            f"{name}: position wraps by whole turns {count} times; it is made to run on"
-            for name, count in wraps_by_joint.items()
-        ]
-        return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
+        return running_on(raw, robot)
 
     def likely_rows(self) -> int:
         """Estimate the rows without reading them; 0 where nothing tells it."""
@@ -152,6 +147,16 @@ class LogFile:
                 return int(statistics.message_count)
             return size // _BYTES_PER_MESSAGE
         return 0
+
+
+def running_on(raw: RawLog, robot: Robot) -> RawLog:
+    """Make positions run on that wrap by whole turns, and say so."""
+    joints, wraps_by_joint = in_turns(raw.joints, robot)
+    notes = [
+        f"{name}: position wraps by whole turns {count} times; it is made to run on"
+        for name, count in wraps_by_joint.items()
+    ]
+    return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
 
 
 def likely_rows(path: Path) -> int:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.log_file import LogFile
+from seqid_cli.logs.log_file import LogFile, running_on
 from seqid_cli.logs.raw import RawLog, Stream, joined
 from seqid_cli.logs.read import assemble
 from seqid_cli.logs.recording import Range, Recording, Whole, piece_of
@@ -143,7 +143,7 @@ def read_parts(
     digest = log.sha256
     for raw in _parts(log.blocks(robot), most_values, int(overlap_s * 1e9)):
         try:
-            part = assemble(log.path, log.format, digest, raw, robot)
+            part = assemble(log.path, log.format, digest, running_on(raw, robot), robot)
         except InputError as error:
             if failed is None:
                 raise

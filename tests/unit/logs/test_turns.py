@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.long import open_long
+from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.turns import in_turns
@@ -61,6 +64,21 @@ def test_wraps_run_on_within_the_limits(
         log = written(tmp_path / "log", middle - 1.5 + np.sin(T) + lost)
         found = read_recording(log, limited(limits)).q[:, 0]
         np.testing.assert_allclose(found, middle - 1.5 + np.sin(T), atol=1e-12)
+
+
+def test_wraps_run_on_in_every_part_of_a_long_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(reader.read_blocks.__kwdefaults__, "rows", 300)
+    q = 2.0 * np.cos(T)
+    log = written(tmp_path / "log", q % TURN, mcap_cdr)
+    limits = limited((-3.0, 3.0))
+    parts = list(read_parts(LogFile.at(log), limits, most_values=3000))
+    assert len(parts) > 1
+    for recording, _ in parts:
+        first = round(recording.start * 100 - parts[0][0].start * 100)
+        whole = q[first : first + recording.samples]
+        np.testing.assert_allclose(recording.q[:, 0], whole, atol=1e-12)
 
 
 WITHIN = 2.9 * np.sin(T)

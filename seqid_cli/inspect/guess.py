@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.contents import Survey
+from seqid_cli.logs.contents import LogContents
 from seqid_cli.logs.tables.naming_schemes import (
     COMMANDED,
     MEASURED,
@@ -43,16 +43,16 @@ class Guess:
     length_unit: Literal["m", "mm"] = "m"
 
 
-def guess(survey: Survey) -> Guess:
+def guess(contents: LogContents) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
-    imus = _imus(survey.columns or survey.channels)
-    patterns, joints = guess_channels(survey.columns)
-    ends = (name.rpartition(".") for name in survey.columns)
+    imus = _imus(contents.columns or contents.channels)
+    patterns, joints = guess_channels(contents.columns)
+    ends = (name.rpartition(".") for name in contents.columns)
     defaults = tuple(
         joint for joint, dot, quantity in ends if dot and quantity == "position"
     )
     if defaults or not joints:
-        return Guess(defaults or survey.joints, {}, imus)
+        return Guess(defaults or contents.joints, {}, imus)
     positions = patterns["position"]
     text = positions if isinstance(positions, str) else " ".join(map(str, positions))
     words = {*_letters(text), *re.findall("°", text)}

@@ -16,7 +16,7 @@ from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.inspect.serves import serve_together
 from seqid_cli.inspect.settings import InspectSettings
-from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.pieces import read_parts
@@ -138,17 +138,17 @@ def inspect_log(
         A log that cannot be read has the finding `unreadable`.
     """
     try:
-        surveyed = survey(path)
+        contents = contents_of(path)
     except InputError as error:
         return _unreadable(path, error)
 
     reader = _Reader(
         path=path,
-        form=surveyed.format,
+        form=contents.format,
         time_source=time_source,
         settings=settings,
     )
-    names = list(surveyed.channels)
+    names = list(contents.channels)
     missing: dict[str, str] = {}
     problem: InputError | None = None
     inspected: Inspected | None = None
@@ -163,16 +163,16 @@ def inspect_log(
     # The log says more of itself than that it does not fit the robot file: without one,
     # or where it does not fit, joints are guessed.
     if inspected is None:
-        guessed = guess(surveyed)
+        guessed = guess(contents)
         findings = []
         if robot is not None and problem is not None:
             missing, findings = _why_it_does_not_fit(robot, guessed, problem)
         try:
-            inspected = _inspect_guessed(reader, surveyed, guessed, findings)
+            inspected = _inspect_guessed(reader, contents, guessed, findings)
         except InputError as error:
             of_joints = [finding for finding in findings if finding.joint]
             inspected = _unreadable(
-                path, problem or error, surveyed.format, findings=of_joints
+                path, problem or error, contents.format, findings=of_joints
             )
     log = structs.replace(inspected.log, channels=names, missing=missing)
     return inspected._replace(log=log)
@@ -252,13 +252,13 @@ def _why_it_does_not_fit(
 
 def _inspect_guessed(
     reader: _Reader,
-    surveyed: Survey,
+    contents: LogContents,
     guessed: Guess,
     findings: list[InspectionFinding],
 ) -> Inspected:
     """Inspect a log without a robot file, or one that it does not fit."""
     if not guessed.joints:
-        raise _no_joints(reader.path, list(surveyed.channels))
+        raise _no_joints(reader.path, list(contents.channels))
     try:
         robot = stand_in(guessed, source=reader.path)
         return reader.inspect(robot, findings, modelled=False)

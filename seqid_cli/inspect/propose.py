@@ -16,7 +16,7 @@ from seqid_cli.inspect.dynamics.equations import GRAVITY
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.inspect.parts import Inspected
-from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.tables.naming_schemes import column_name, find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
@@ -66,8 +66,8 @@ def propose(
     UsageError
         `drives` have another number of values.
     """
-    surveyed = survey(paths[0])
-    guessed = guess(surveyed)
+    contents = contents_of(paths[0])
+    guessed = guess(contents)
     reports = [inspect_log(path) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
@@ -96,12 +96,12 @@ def propose(
     )
     log_names = [log_name for log_name, _ in log_joints]
     names = [joint.name for joint in joints]
-    channels, todo = _channels(surveyed, guessed, log_names, names)
+    channels, todo = _channels(contents, guessed, log_names, names)
     template = RobotTemplate(
         name=name,
         joints=joints,
         urdf=urdf_path if pairs else None,
-        effort=_effort(surveyed, inspected),
+        effort=_effort(contents, inspected),
         imus=guessed.imus,
         channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in names),
@@ -137,13 +137,13 @@ def _units(guessed: Guess, reports: Sequence[Inspected]) -> dict[str, str]:
     return units
 
 
-def _effort(surveyed: Survey, inspected: Mapping[str, InspectedJoint]) -> str:
+def _effort(contents: LogContents, inspected: Mapping[str, InspectedJoint]) -> str:
     """Return what the log has of torque: "torque", "current", "effort", or nothing."""
     efforts = [joint.effort for joint in inspected.values() if joint.effort]
     if not efforts:
         return ""
     # The effort of a message may be either.
-    return efforts[0] if surveyed.columns else "effort"
+    return efforts[0] if contents.columns else "effort"
 
 
 def _driven(
@@ -333,13 +333,13 @@ def _joint(
 
 
 def _channels(
-    surveyed: Survey, guessed: Guess, log: Sequence[str], joints: Sequence[str]
+    contents: LogContents, guessed: Guess, log: Sequence[str], joints: Sequence[str]
 ) -> tuple[dict[str, Columns], list[str]]:
     """Return `[channels]` by which joints are those of a log, and what they lack.
 
     `log` are the names of the joints in the log, `joints` those in the robot file.
     """
-    if not surveyed.columns:
+    if not contents.columns:
         # Messages name their joints; nothing maps these.
         renamed = [f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b]
         if not renamed:
@@ -350,7 +350,7 @@ def _channels(
         )
         return {}, [todo]
 
-    columns = surveyed.columns
+    columns = contents.columns
     channels: dict[str, Columns] = {}
     times = time_names(columns)
     if "t" not in times and len(times) != 1:

@@ -15,7 +15,7 @@ _STATE_ENDING = re.compile("(?:[._]pos(?:ition)?|[.]q)$")
 
 
 @dataclass(frozen=True)
-class Survey:
+class LogContents:
     """The content of one log."""
 
     format: str
@@ -24,7 +24,7 @@ class Survey:
     columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
 
 
-def survey(path: Path) -> Survey:
+def contents_of(path: Path) -> LogContents:
     """Look through a log; raises InputError if it is none or cannot be read at all."""
     log = LogFile.at(path)
     kind = log.format
@@ -35,11 +35,11 @@ def survey(path: Path) -> Survey:
             columns = parquet.open_table(file).names
         else:
             channels = columns = read_form(file).names
-        return Survey(kind, channels, _lerobot_joints(file, columns), columns)
+        return LogContents(kind, channels, _lerobot_joints(file, columns), columns)
 
     list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
     topics, joints = list_topics(file)
-    return Survey(kind, tuple(topic.topic for topic in topics), joints)
+    return LogContents(kind, tuple(topic.topic for topic in topics), joints)
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.inspect.guess import guess, stand_in
-from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
@@ -92,7 +92,7 @@ MOTION = make_motion(grid(100))
 
 @pytest.mark.parametrize("encoding", ["cdr", "json"])
 def test_topics_of_mcap_are_its_channels(tmp_path: Path, encoding: str) -> None:
-    found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
+    found = contents_of(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
     assert found.joints == JOINTS
     assert {"/joint_states", "/array/accel_2"} <= set(found.channels)
 
@@ -104,7 +104,7 @@ NAMED = ("csv", "rosbag1", "mcap cdr", "mcap json")
 def test_joints_are_guessed(tmp_path: Path, label: str) -> None:
     data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
-    found = guess(survey(path))
+    found = guess(contents_of(path))
     named = label in NAMED
     assert set(found.joints) == set(
         JOINTS if named else ("joint_1", "joint_2", "joint_3")
@@ -136,7 +136,7 @@ def test_joints_of_a_table(
 ) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
-    assert guess(survey(path)).joints == joints
+    assert guess(contents_of(path)).joints == joints
 
 
 NAMED_PATTERNS = sorted(
@@ -154,7 +154,7 @@ def test_joints_that_are_read_undeclared_are_guessed(pattern: str) -> None:
     """What `inspect -r` reads by its names alone, `init` does not refuse."""
     joints = ("left_joint_1", "servo_pan")
     columns = ("time", *(pattern.replace("{name}", name) for name in joints))
-    guessed = guess(Survey("csv", columns, (), columns))
+    guessed = guess(LogContents("csv", columns, (), columns))
     assert guessed.joints == joints
     match = find_scheme(guessed.joints, columns)
     assert match is not None

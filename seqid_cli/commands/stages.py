@@ -37,6 +37,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.robot_file import found_robot
 from seqid_cli.commands.screen.render import screen_for
 from seqid_cli.commands.screen.show import show_stages
+from seqid_cli.identify.options import MAX_POSITION_ORDER
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import ParameterFile, Stages, Verdict
 from seqid_cli.settings import overridden
@@ -63,7 +64,7 @@ def friction(
             "--position-order",
             metavar="N",
             min=0,
-            max=10,  # trials are reduced to so many functions of position
+            max=MAX_POSITION_ORDER,
             help="Order in position; found when left out.",
         ),
     ] = None,

@@ -17,7 +17,7 @@ from seqid_cli.export.model import ExportModel
 from seqid_cli.export.syntax import Syntax, c99, python
 from seqid_cli.export.text import plain, rendered
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.friction_basis import FADE
+from seqid_cli.position_families import FAMILIES
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.typing import Array
 
@@ -35,14 +35,24 @@ def c_header(model: ExportModel) -> str:
 
     Raises ConfigError if an effect declares no law that code can be written from.
     """
-    return rendered(
-        "arm.h.jinja", model, **_content(model, c99(identifier(model.robot.name)))
-    )
+    content = _content(model, c99(identifier(model.robot.name)))
+    return rendered("arm.h.jinja", model, snippets=_position_snippets(), **content)
 
 
 def numpy_module(model: ExportModel) -> str:
     """Return the same as a Python module that needs numpy only."""
-    return rendered("arm.py.jinja", model, **_content(model, python()))
+    content = _content(model, python())
+    return rendered("arm.py.jinja", model, snippets=_position_snippets(), **content)
+
+
+def _position_snippets() -> dict[str, str]:
+    """Return the text of every family over position, by kind and name."""
+    snippets = {}
+    for family in FAMILIES:
+        snippets[f"c_function/{family.name}"] = family.c_function
+        snippets[f"c_columns/{family.name}"] = family.c_columns
+        snippets[f"python_columns/{family.name}"] = family.python_columns
+    return snippets
 
 
 def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
@@ -61,6 +71,7 @@ def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
         ],
         "n": robot.n,
         "chain": robot.chain,
+        "families": FAMILIES,
         "slides": [int(slides) for slides in robot.chain.prismatic],
         "phi": model.bodies,
         "armature": model.armature,
@@ -117,14 +128,13 @@ def _surface(surface: FrictionSurface) -> dict[str, object]:
     scaling = surface.scaling
     rows, columns = surface.positive.shape
     speed = np.array(scaling.speed)
-    low, high = scaling.position
     backward = surface.negative if surface.directional else surface.positive
     return {
         "rows": rows,
         "columns": columns,
         "scaling": scaling,
         "mean": scaling.over_position.mean(surface.orders[0]),
-        "fade": FADE * (high - low),
+        "fade": scaling.over_position.fade_width,
         "slope": np.resize(np.maximum(surface.slopes, 0.0), 2),
         "scaled": np.log(speed) if scaling.logarithmic else speed,
         "sign_width": surface.sign_width,

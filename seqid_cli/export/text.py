@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -24,8 +24,14 @@ def real(value: float, *, digits: int = 15) -> str:
     return f"{mantissa}{mark}{exponent}"
 
 
-def rendered(template: str, model: ExportModel, **content: object) -> str:
-    """Fill in a template.
+def rendered(
+    template: str,
+    model: ExportModel,
+    *,
+    snippets: Mapping[str, str] = {},
+    **content: object,
+) -> str:
+    """Fill in a template, which may include `snippets` by their names.
 
     Names of a robot are written by `e` or `tojson_ascii` there.
     """
@@ -43,7 +49,11 @@ def rendered(template: str, model: ExportModel, **content: object) -> str:
         "friction": model.friction,
     }
     return filled(
-        "seqid_cli.export", template, of_every_form | content, filters=filters
+        "seqid_cli.export",
+        template,
+        of_every_form | content,
+        filters=filters,
+        snippets=snippets,
     )
 
 

@@ -8,8 +8,12 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
 
+from seqid_cli.errors import UsageError
 from seqid_cli.identify.settings import InertiaSettings
 from seqid_cli.motion.options import MotionOptions
+
+# Order over position that friction may have: trials are reduced to functions up to it.
+MAX_POSITION_ORDER = 10
 
 TimeSource = Literal["header", "log"]
 Source = Literal["auto", "encoder", "imu", "fused"]
@@ -42,6 +46,17 @@ class FrictionOptions(LogOptions):
     position_order: int | None = None
     velocity_order: int | None = None
     beta: float | None = None
+
+    def __post_init__(self) -> None:
+        order = self.position_order
+        if order is not None and order > MAX_POSITION_ORDER:
+            raise UsageError(
+                f"position order {order} is too high",
+                hint=(
+                    "Trials are reduced to functions of position up to order"
+                    f" {MAX_POSITION_ORDER}."
+                ),
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

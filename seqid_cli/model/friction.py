@@ -31,8 +31,9 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from scipy.linalg import block_diag
 
-from seqid_cli.model.friction_basis import FADE, Scaling
+from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint
+from seqid_cli.position_families import FADE, family_named
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Mask
 
@@ -129,11 +130,13 @@ class FrictionSurface:
         """Build from the parameter file."""
         low, high = joint.position_range
         slow, fast = joint.speed_range
+        family = family_named(joint.position_basis)
+        assert family is not None  # files of other names are refused as they are read
         scaling = Scaling(
             position=(low, high),
             speed=(slow, fast),
             logarithmic=joint.speed_scale == "log",
-            periodic=joint.position_basis == "fourier",
+            family=family,
         )
         thermal = [term.value for term in joint.nuisances if term.name == "thermal"]
         return cls(

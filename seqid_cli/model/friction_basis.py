@@ -1,17 +1,9 @@
-"""Bases of a friction surface over position and speed, continued beyond their range.
+"""The basis of a friction surface over position and speed, continued beyond its range.
 
-Over position there are two kinds. A polynomial in Chebyshev's form knows one range. A
-Fourier series knows every angle, so it serves joints that turn more than once. Over
-speed there are Chebyshev polynomials of |v| or of its logarithm.
-
-Beyond a range the basis itself is continued, so that whatever is made of it stays
-linear in the coefficients of the surface. With f_0 the mean over position and d the
-distance from the range, a polynomial falls back to that mean as a random field of
-Gaussian correlation would on average:
-
-    f(q) = f_0 + rho (f(edge) - f_0),   rho = exp(-d^2 / (2 delta^2)),
-
-delta being `FADE` of the range.
+Over position there are families to choose from (`position_families`), over speed there
+are Chebyshev polynomials of |v| or of its logarithm. Beyond a range the basis itself is
+continued, so that whatever is made of it stays linear in the coefficients of the
+surface.
 
 Beyond the fastest speed v_1 friction goes on as Coulomb plus viscous friction: a line
 whose slope is the least-squares slope of the position mean over the upper part of the
@@ -24,126 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from seqid_cli.position_families import Chebyshev, PositionFamily, scaled
 from seqid_cli.typing import Array, Mask
-
-FADE = 0.1  # of the position range: the distance over which a surface forgets its edge
-
-
-@dataclass(frozen=True)
-class Polynomial:
-    """Chebyshev polynomials over [low, high] rad (m where prismatic)."""
-
-    low: float
-    high: float
-
-    def size(self, order: int) -> int:
-        """Return the number of polynomials."""
-        return order + 1
-
-    def order(self, size: int) -> int:
-        """Return the highest degree."""
-        return size - 1
-
-    def values(self, q: Array, order: int) -> Array:
-        """Compute T_0 to T_order (N, order + 1), which fade to their means outside."""
-        x = scaled(q, self.low, self.high)
-        values = np.asarray(chebvander(x, order), dtype=np.float64)
-        faded = 1.0 - self._correlation(q)
-        beyond = np.flatnonzero(faded)
-        if beyond.size:
-            to_mean = self.mean(order) - values[beyond]
-            values[beyond] += faded[beyond, None] * to_mean
-        return values
-
-    def degrees(self, order: int) -> Array:
-        """Return 0 to `order`: how fast each function varies."""
-        return np.arange(order + 1.0)
-
-    def mean(self, order: int) -> Array:
-        """Return the mean of T_j over [-1, 1]: 1 / (1 - j^2), and 0 for odd j."""
-        j = np.arange(order + 1.0)
-        is_even = j % 2 == 0.0
-        divisor = np.where(j == 1.0, 1.0, 1.0 - j**2)  # not zero
-        return np.where(is_even, 1.0 / divisor, 0.0)
-
-    def novelty(self, q: Array) -> Array:
-        """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
-        novelty = np.sqrt(1.0 - self._correlation(q) ** 2)
-        below = np.where(q < self.low, novelty, 0.0)
-        above = np.where(q > self.high, novelty, 0.0)
-        return np.stack([below, above], axis=1)
-
-    def outside(self, q: Array, *, outside_position: float = 0.02) -> Mask:
-        """Return where positions left the range by a share of `outside_position`."""
-        return self._distance(q) > outside_position * (self.high - self.low)
-
-    def share(self, q: Array) -> Array:
-        """Return the share of the range, held at its ends."""
-        return 0.5 * (scaled(q, self.low, self.high) + 1.0)
-
-    def at(self, share: Array) -> Array:
-        """Return positions from shares."""
-        return self.low + share * (self.high - self.low)
-
-    def _distance(self, q: Array) -> Array:
-        """Return the distance d (N,) from the range; 0 inside."""
-        return np.maximum(np.maximum(self.low - q, q - self.high), 0.0)
-
-    def _correlation(self, q: Array) -> Array:
-        """Return the correlation rho (N,) with the edge of the range; 1 inside."""
-        if self.high <= self.low:
-            return np.ones_like(q)
-        delta = FADE * (self.high - self.low)
-        return np.asarray(np.exp(-0.5 * (self._distance(q) / delta) ** 2))
-
-
-@dataclass(frozen=True)
-class Fourier:
-    """1, cos q, sin q, cos 2q, ...: friction that repeats with every turn."""
-
-    def size(self, order: int) -> int:
-        """Return the number of functions: the mean and two per harmonic."""
-        return 2 * order + 1
-
-    def order(self, size: int) -> int:
-        """Return the highest harmonic."""
-        return size // 2
-
-    def values(self, q: Array, order: int) -> Array:
-        """Return the functions (N, 2 order + 1) at any position."""
-        angle = np.outer(q, np.arange(1, order + 1))
-        values = np.ones((len(q), 2 * order + 1))
-        values[:, 1::2] = np.cos(angle)
-        values[:, 2::2] = np.sin(angle)
-        return values
-
-    def degrees(self, order: int) -> Array:
-        """Return twice the harmonic: T_2k has k waves over its range, as harmonic k."""
-        return np.asarray(2.0 * np.ceil(np.arange(2 * order + 1) / 2.0))
-
-    def mean(self, order: int) -> Array:
-        """Return 1 for the constant, 0 for the waves."""
-        return np.asarray(np.eye(1, 2 * order + 1)[0])
-
-    def novelty(self, q: Array) -> Array:
-        """Return zeros: every angle is known."""
-        return np.zeros((len(q), 2))
-
-    def outside(self, q: Array) -> Mask:
-        """Return False: every angle is known."""
-        return np.zeros(len(q), dtype=np.bool_)
-
-    def share(self, q: Array) -> Array:
-        """Return the share of a turn."""
-        return np.mod(q / (2.0 * np.pi), 1.0)
-
-    def at(self, share: Array) -> Array:
-        """Return angles from shares of a turn."""
-        return 2.0 * np.pi * share
-
-
-# An order is the highest degree of a polynomial, or the highest harmonic of a series.
-PositionBasis = Polynomial | Fourier
 
 
 @dataclass(frozen=True)
@@ -153,12 +27,12 @@ class Scaling:
     position: tuple[float, float]  # rad; m where prismatic
     speed: tuple[float, float]  # rad/s; m/s where prismatic
     logarithmic: bool = False
-    periodic: bool = False
+    family: type[PositionFamily] = Chebyshev
 
     @property
-    def over_position(self) -> PositionBasis:
+    def over_position(self) -> PositionFamily:
         """The functions of position."""
-        return Fourier() if self.periodic else Polynomial(*self.position)
+        return self.family(*self.position)
 
     def u(self, v: Array) -> Array:
         """Return the scaled speed (N,), held in [-1, 1]."""
@@ -247,10 +121,3 @@ def tensor(over_position: Array, over_speed: Array) -> Array:
     """Return products (N, a b) of functions (N, a) and (N, b), the second fastest."""
     product = over_position[:, :, None] * over_speed[:, None, :]
     return np.asarray(product.reshape(len(over_position), -1))
-
-
-def scaled(value: Array, low: float, high: float) -> Array:
-    """Return values (N,) scaled from [low, high] to [-1, 1] and held there."""
-    if high <= low:
-        return np.zeros_like(value)
-    return np.clip((2 * value - low - high) / (high - low), -1.0, 1.0)

@@ -100,16 +100,16 @@ def _numbers(key: str, name: str, value: Any) -> Iterator[_Problem]:
 
 
 def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
-    rows_of_basis = {
-        "chebyshev": joint.position_order + 1,
-        "fourier": 2 * joint.position_order + 1,
-    }
-    if joint.position_basis not in rows_of_basis:
-        listed = ", ".join(rows_of_basis)
+    # Imported here because it imports numpy: other faults of a file are told first.
+    from seqid_cli.position_families import FAMILIES, family_named
+
+    family = family_named(joint.position_basis)
+    if family is None:
+        listed = ", ".join(family.name for family in FAMILIES)
         fault = f"is {joint.position_basis!r}, none of {listed}"
         yield f"{key}.position_basis", fault
         return
-    rows = rows_of_basis[joint.position_basis]
+    rows = family.size(joint.position_order)
     columns = joint.velocity_order + 1
     for name, surface in (("positive", joint.positive), ("negative", joint.negative)):
         if not _has_shape(surface, rows, columns):

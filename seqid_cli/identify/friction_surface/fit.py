@@ -182,7 +182,16 @@ class SurfaceFit:
         return ErrorGrid(columns, np.sqrt(np.maximum(variance, 1e-300)))
 
     def _mask(self, orders: Orders) -> Mask:
-        """Return which of the surface's entries have these orders, row-major."""
+        """Return which of the surface's entries have these orders, row-major.
+
+        Raises ValueError of orders beyond the `highest`: the trials are not reduced to
+        such functions, and a slice would leave them out without a word.
+        """
+        if (
+            orders.position > self.highest.position
+            or orders.velocity > self.highest.velocity
+        ):
+            raise ValueError(f"{orders} are beyond the highest, {self.highest}")
         mask = np.zeros(self.prior.shape, dtype=np.bool_)
         size = self.reduced.scaling.over_position.size(orders.position)
         mask[:size, : orders.velocity + 1] = True
@@ -205,7 +214,7 @@ def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """Return the orders that the data, or the user, allow at most."""
     position, velocity = asked
     if position is None:
-        position = reduction.MAX_POSITION_ORDER
+        position = sets[0].highest_position_order
     if velocity is None:
         n_speeds = min(len(trials.levels) for trials in sets)
         velocity = min(reduction.MAX_VELOCITY_ORDER, max(n_speeds - 1, 0))

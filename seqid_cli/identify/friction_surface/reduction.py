@@ -25,6 +25,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.stats import binned_statistic, median_abs_deviation
 
+from seqid_cli.identify.options import MAX_POSITION_ORDER
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array, Mask
 
@@ -38,7 +39,6 @@ WARM = EDGES + 3
 EXTRA = EDGES + SHARED  # columns beside those of position
 # Share of a trial's largest weight from which a slice counts as measured.
 MEASURED_WEIGHT = 0.1
-MAX_POSITION_ORDER = 10
 MAX_VELOCITY_ORDER = 11
 # Bins of positions over which medians are taken before there is a surface.
 MEDIAN_BINS = 24
@@ -154,6 +154,11 @@ class Reduced:
     def size(self) -> int:
         """Functions of position, p."""
         return int(self.z.shape[1]) - EXTRA
+
+    @property
+    def highest_position_order(self) -> int:
+        """Order of these functions."""
+        return self.scaling.over_position.order(self.size)
 
     @property
     def levels(self) -> Array:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
 from seqid_cli.identify.friction_surface.corrections import (
     HeldJoints,
@@ -43,6 +43,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Verdict
+from seqid_cli.position_families import FAMILIES
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -55,9 +56,8 @@ TRIES_ALL_BASES = (False, False, True)
 # Temperature is told apart from speed where at least this share of its variance lies
 # within trials of one speed and direction.
 LEAST_WITHIN_SHARE = 0.1
-# Speeds or positions that span more than this ratio may want another basis.
+# Speeds that span more than this ratio may want their logarithm.
 WIDE_SPEED_RANGE = 4.0
-TURN = 2.0 * np.pi
 
 
 def identify_friction(
@@ -85,18 +85,10 @@ def identify_friction(
 
     Raises
     ------
-    UsageError
-        If a position order is asked for that trials are not reduced to.
     QualityError
         If no joint moves by itself at constant velocity, no trial has a twin in the
         other direction, or the orders ask for more speeds than there are.
     """
-    highest = reduction.MAX_POSITION_ORDER
-    if options.position_order is not None and options.position_order > highest:
-        raise UsageError(
-            f"position order {options.position_order} is too high",
-            hint=f"Trials are reduced to functions of position up to order {highest}.",
-        )
     trials = collect_trials(recordings, robot)
     if not trials:
         raise _no_trials(recordings)
@@ -390,7 +382,7 @@ def _fitted(
 
 
 def _scalings(data: list[SpeedData]) -> list[Scaling]:
-    """Return candidate bases: by speeds or their logarithms, by range or by turns."""
+    """Return candidate bases: by families over position, by speeds or logarithms."""
     q = np.concatenate([item.q for item in data])
     speeds = [item.speed for item in data]
     position = (float(q.min()), float(q.max()))
@@ -398,12 +390,10 @@ def _scalings(data: list[SpeedData]) -> list[Scaling]:
     over_speed = [False]
     if speed[0] * WIDE_SPEED_RANGE < speed[1]:
         over_speed.append(True)
-    over_position = [False]
-    if position[1] - position[0] > TURN:
-        over_position.append(True)
+    over_position = [family for family in FAMILIES if family.is_tried(*position)]
     return [
-        Scaling(position, speed, logarithmic, periodic)
-        for periodic in over_position
+        Scaling(position, speed, logarithmic, family)
+        for family in over_position
         for logarithmic in over_speed
     ]
 

@@ -222,7 +222,7 @@ def summarise(
         beta=beta,
         criterion_met=fitted.relative <= beta,
         position_range=list(surface.scaling.position),
-        position_basis="fourier" if surface.scaling.periodic else "chebyshev",
+        position_basis=surface.scaling.family.name,
         speed_range=list(surface.scaling.speed),
         speed_scale="log" if surface.scaling.logarithmic else "linear",
         sign_width=surface.sign_width,

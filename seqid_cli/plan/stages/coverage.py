@@ -49,12 +49,7 @@ class Coverage:
             if surface is None:
                 continue
             scaling = surface.scaling
-            if scaling.periodic:
-                # Friction that repeats with every turn is known at every angle.
-                lower[j] = -np.inf
-                upper[j] = np.inf
-            else:
-                lower[j], upper[j] = scaling.position
+            lower[j], upper[j] = scaling.over_position.known_range()
             slowest[j], fastest[j] = scaling.speed
         return cls(
             is_known=np.array([surface is not None for surface in belief.surfaces]),

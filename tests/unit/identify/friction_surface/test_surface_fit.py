@@ -17,19 +17,17 @@ from seqid_cli.identify.friction_surface.fit import (
     fit_surfaces,
 )
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.reduction import MAX_POSITION_ORDER as HIGHEST
 from seqid_cli.identify.friction_surface.reduction import (
     Orders,
     SpeedData,
     edges_of,
     reduce_trials,
 )
-from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.summary import Errors, errors_of
+from seqid_cli.identify.options import MAX_POSITION_ORDER as HIGHEST
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.robot.file import load_robot
-from tests import ROOT, Array
+from tests import Array
 
 SCALING = Scaling((-2.0, 2.0), (0.2, 4.0))
 SPEEDS = np.geomspace(0.2, 4.0, 12)
@@ -298,8 +296,15 @@ def test_orders_are_raised_until_eq_11_holds_or_no_orders_meet_it() -> None:
     assert raised_to(1e-6) == unasked
 
 
-def test_a_position_order_beyond_the_reduction_is_refused() -> None:
-    robot = load_robot(ROOT / "sample_logs" / "one_joint" / "robot.toml")
-    options = FrictionOptions(position_order=HIGHEST + 1)
+def test_orders_beyond_the_reduction_are_refused() -> None:
     with pytest.raises(UsageError, match="position order 11 is too high"):
-        identify_friction([], robot, options=options)
+        FrictionOptions(position_order=HIGHEST + 1)
+    fit = surface_fit(data_of(COEFFICIENTS, np.random.default_rng(0)))
+    for orders in (
+        Orders(HIGHEST + 1, 1),
+        Orders(1, fit.highest.velocity + 1),
+    ):
+        with pytest.raises(ValueError, match="beyond the highest"):
+            fit.entries(orders)
+        with pytest.raises(ValueError, match="beyond the highest"):
+            fit.covariance(orders)

@@ -17,7 +17,7 @@ from rich.console import Console, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from seqid_cli.commands.screen.messages import Label
+from seqid_cli.commands.screen.layout import Label
 
 GAP = 2  # characters between two columns
 # A name from a file that is longer than this is broken on a narrow terminal, so that

@@ -8,7 +8,9 @@ import os
 import re
 import shutil
 import textwrap
-from typing import TextIO
+from typing import Literal, TextIO
+
+Label = Literal["error", "warning"]  # what a message begins with, in colour
 
 # Below so many characters no table is readable, so the terminal breaks the lines.
 NARROWEST = 40

@@ -4,11 +4,8 @@ The command group needs this before any command is imported, so it imports littl
 """
 
 import sys
-from typing import Literal
 
-from seqid_cli.commands.screen.layout import folded, visible
-
-Label = Literal["error", "warning"]
+from seqid_cli.commands.screen.layout import Label, folded, visible
 
 
 def write_warning(command: str, message: str, *, color: bool) -> None:

@@ -36,7 +36,7 @@ class CommandEntry(NamedTuple):
     summary: str
 
 
-_FILES = "seqid_cli.commands.files"
+_COMPARISON = "seqid_cli.commands.comparison"
 _LOGS = "seqid_cli.commands.logs"
 _MODELS = "seqid_cli.commands.models"
 _STAGES = "seqid_cli.commands.stages"
@@ -80,15 +80,19 @@ COMMANDS: Mapping[str, CommandEntry] = {
     "payload": CommandEntry(
         _MODELS, "Identify the mass, centre and inertia that the flange carries."
     ),
-    "trend": CommandEntry(_FILES, "Find what changed over dates, beyond its error."),
+    "trend": CommandEntry(
+        _COMPARISON, "Find what changed over dates, beyond its error."
+    ),
     "report": CommandEntry(
-        _FILES, "Write the results as one HTML page, the verdict first."
+        "seqid_cli.commands.report",
+        "Write the results as one HTML page, the verdict first.",
     ),
     "export": CommandEntry(
-        _FILES, "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."
+        "seqid_cli.commands.export",
+        "Write an identified arm as URDF, MJCF, ROS 2 YAML or C.",
     ),
     "compare": CommandEntry(
-        _FILES, "Compare two results against their standard errors."
+        _COMPARISON, "Compare two results against their standard errors."
     ),
     "completion": CommandEntry(
         "seqid_cli.commands.completion", "Print the completion script of a shell."

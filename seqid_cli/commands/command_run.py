@@ -1,7 +1,14 @@
-"""One run of a command: progress and warnings while it works, then an exit code.
+"""One run of a command: what all commands do before, around and after their function.
 
-with CommandRun(screen) as run:
-    file = identify.gravity(logs, robot, ..., on_progress=run.on_progress)
+with CommandRun("gravity", quiet=quiet, verbose=verbose, ...) as run:
+    robot = run.robot_file(robot, logs)
+    file = identify.gravity(
+        logs,
+        robot,
+        ...,
+        settings=run.settings(GravitySettings(), set_values),
+        on_progress=run.on_progress,
+    )
 run.screen.document(file)
 ...
 return run.exit_code(verdicts, strict=strict)
@@ -10,16 +17,18 @@ return run.exit_code(verdicts, strict=strict)
 import contextlib
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+from seqid_cli.commands.robot_file import found_robot
 from seqid_cli.commands.screen.progress import ProgressLine
-from seqid_cli.commands.screen.render import Screen
+from seqid_cli.commands.screen.render import screen_for
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import Verdict
+from seqid_cli.settings import Settings, overridden
 from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
@@ -27,6 +36,8 @@ if TYPE_CHECKING:
 
     from seqid_cli.inspect.progress import Progress
     from seqid_cli.params.results.inspection import InspectionFinding
+
+S = TypeVar("S", bound=Settings)
 
 EXIT_DONE = 0
 EXIT_UNTRUSTED = 1
@@ -39,6 +50,13 @@ WORTH_BYTES = 32_000_000
 class CommandRun:
     """A run that shows what its function reports, and keeps what counts later.
 
+    Parameters
+    ----------
+    command : str
+        Its name, for messages.
+    quiet, verbose, json, no_color : bool
+        The flags that every command has for its screen.
+
     Attributes
     ----------
     screen : Screen
@@ -49,8 +67,12 @@ class CommandRun:
         Whether a log was read in part, or not at all.
     """
 
-    def __init__(self, screen: Screen) -> None:
-        self.screen = screen
+    def __init__(
+        self, command: str, *, quiet: bool, verbose: bool, json: bool, no_color: bool
+    ) -> None:
+        self.screen = screen_for(
+            command, quiet=quiet, verbose=verbose, json=json, no_color=no_color
+        )
         self.findings: list[InspectionFinding] = []
         self.is_partial = False
         self._stack = contextlib.ExitStack()
@@ -76,8 +98,62 @@ class CommandRun:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Remove the line of progress, and give warnings back to Python."""
+        """Send readers of logs home, and give warnings back to Python."""
         self._stack.__exit__(error_type, error, trace)
+
+    def robot_file(self, robot: Path | None, logs: Sequence[str] = ()) -> Path:
+        """Return the robot file that -r names, or else the one that is found."""
+        return robot or found_robot(self.screen, logs)
+
+    def settings(self, defaults: S, set_values: Sequence[str] | None) -> S:
+        """Return the settings of a command with what --set gives."""
+        return overridden(defaults, set_values or ())
+
+    def log_readers(
+        self,
+        logs: Sequence[str],
+        *,
+        jobs: int | None,
+        engine: str,
+        scheduler: str | None,
+    ) -> "Executor | None":
+        """Start the processes, or the Dask cluster, that read the logs in this run.
+
+        Parameters
+        ----------
+        logs : sequence of str
+            Their number and size say how many processes are worth it.
+        jobs : int or None
+            How many are asked for.
+        engine : str
+            "local" or "dask".
+        scheduler : str or None
+            Address of a running Dask scheduler.
+
+        Returns
+        -------
+        Executor or None
+            None where this process reads the logs itself.
+
+        Raises
+        ------
+        UsageError
+            A scheduler is named, but the engine is not Dask.
+        """
+        if engine == "dask":
+            from seqid_cli.scale import dask_cluster
+
+            return self._stack.enter_context(dask_cluster(scheduler, jobs))
+
+        if scheduler is not None:
+            hint = "Add --engine dask, or leave out --scheduler."
+            raise UsageError("a scheduler is of use to Dask only", hint=hint)
+        count = process_count(logs, jobs)
+        if count == 1:
+            return None
+        from seqid_cli.scale import processes
+
+        return self._stack.enter_context(processes(count))
 
     def on_progress(self, progress: "Progress") -> None:
         """Show what a function reports before, during and after each log."""
@@ -159,42 +235,6 @@ class CommandRun:
         if self.screen.verbose:  # else the line would blink for nothing
             with self._line.hidden():
                 self.screen.detail(text)
-
-
-@contextlib.contextmanager
-def log_readers(
-    logs: Sequence[str], *, jobs: int | None, engine: str, scheduler: str | None
-) -> "Iterator[Executor | None]":
-    """Start the processes, or the Dask cluster, that read the logs in this block.
-
-    Yields
-    ------
-    Executor or None
-        None where this process reads the logs itself.
-
-    Raises
-    ------
-    UsageError
-        A scheduler is named, but the engine is not Dask.
-    """
-    if engine == "dask":
-        from seqid_cli.scale import dask_cluster
-
-        with dask_cluster(scheduler, jobs) as executor:
-            yield executor
-        return
-
-    if scheduler is not None:
-        hint = "Add --engine dask, or leave out --scheduler."
-        raise UsageError("a scheduler is of use to Dask only", hint=hint)
-    count = process_count(logs, jobs)
-    if count == 1:
-        yield None
-        return
-    from seqid_cli.scale import processes
-
-    with processes(count) as executor:
-        yield executor
 
 
 def process_count(logs: Sequence[str], jobs: int | None) -> int:

@@ -36,7 +36,6 @@ from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.urdf import read_urdf_text
-from seqid_cli.settings import overridden
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,12 +103,11 @@ and what is wrong.
     from seqid_cli.inspect import InspectSettings
     from seqid_cli.inspect import inspect as inspect_logs
 
-    screen = screen_for(
+    with CommandRun(
         "inspect", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot_if_any(screen, logs)
-    settings = overridden(InspectSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = robot or found_robot_if_any(run.screen, logs)
+        settings = run.settings(InspectSettings(), set_values)
         file = inspect_logs(
             logs,
             robot,
@@ -119,11 +117,11 @@ and what is wrong.
             output=output,
             on_progress=run.on_progress,
         )
-    screen.document(file)
-    show_inspection(screen, file)
+    run.screen.document(file)
+    show_inspection(run.screen, file)
     if output is not None:
-        screen.note(f"written: {output}")
-    return _exit_code(screen, file, strict=strict)
+        run.screen.note(f"written: {output}")
+    return _exit_code(run.screen, file, strict=strict)
 
 
 def _exit_code(screen: Screen, file: InspectionFile, *, strict: bool) -> int:

@@ -7,7 +7,7 @@ import typer
 
 from seqid_cli import discover, identify
 from seqid_cli import payload as payloads
-from seqid_cli.commands.command_run import CommandRun, log_readers
+from seqid_cli.commands.command_run import CommandRun
 from seqid_cli.commands.options import (
     SIX,
     CutoffOption,
@@ -34,8 +34,7 @@ from seqid_cli.commands.options import (
     is_positive,
     number_check,
 )
-from seqid_cli.commands.robot_file import found_robot
-from seqid_cli.commands.screen.render import Screen, number, screen_for
+from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import (
     show_motion,
     show_poor,
@@ -50,7 +49,6 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.payload.settings import PayloadSettings
-from seqid_cli.settings import overridden
 
 _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
 _HELD_OUT = (
@@ -113,22 +111,19 @@ def predict(
     friction is an interval, and the error is the distance to it. `in 90 %` says how
     many sliding samples the 90 % band holds.
     """
-    screen = screen_for(
+    with CommandRun(
         "predict", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.PredictOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        skip_failed=skip_failed,
-        source=source,
-        with_unexplained=with_unexplained,
-    )
-    settings = overridden(identify.PredictSettings(), set_values or ())
-    with (
-        CommandRun(screen) as run,
-        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
-    ):
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.PredictOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            skip_failed=skip_failed,
+            source=source,
+            with_unexplained=with_unexplained,
+        )
+        settings = run.settings(identify.PredictSettings(), set_values)
+        executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
         file = identify.predict(
             logs,
             robot,
@@ -140,9 +135,9 @@ def predict(
             executor=executor,
             on_progress=run.on_progress,
         )
-    _show_prediction(screen, file)
+    _show_prediction(run.screen, file)
     if torques is not None:
-        screen.note(f"written: {torques}")
+        run.screen.note(f"written: {torques}")
     run.show_output(output)
     return run.exit_code(file.verdicts, strict=strict)
 
@@ -209,17 +204,16 @@ nothing is changed.
 
     With --strict the exit code is 1 unless nothing is missing.
     """  # noqa: D205
-    screen = screen_for(
+    with CommandRun(
         "diagnose", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    if explain is not None:
-        _check_joint(explain, robot)
-    options = discover.DiagnoseOptions(
-        cutoff_hz=cutoff_hz, time_source=time_source, source=source
-    )
-    settings = overridden(DiscoverSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        if explain is not None:
+            _check_joint(explain, robot)
+        options = discover.DiagnoseOptions(
+            cutoff_hz=cutoff_hz, time_source=time_source, source=source
+        )
+        settings = run.settings(DiscoverSettings(), set_values)
         file = discover.diagnose(
             logs,
             robot,
@@ -229,12 +223,12 @@ nothing is changed.
             output=output,
             on_progress=run.on_progress,
         )
-    screen.document(file)
-    show_diagnosis(screen, file, explain)
-    show_motion(screen, file.motion, file.robot)
+    run.screen.document(file)
+    show_diagnosis(run.screen, file, explain)
+    show_motion(run.screen, file.motion, file.robot)
     run.show_output(output)
     if advice := _next_after_diagnosis(file, robot, parameters):
-        screen.note(f"next: {advice}")
+        run.screen.note(f"next: {advice}")
     is_incomplete = file.verdict != "nothing_missing"
     return run.exit_code(file.verdicts, strict=strict, is_untrusted=is_incomplete)
 
@@ -344,20 +338,19 @@ predicted better.
     taken out and listed; the rest is fitted again without it. With --strict the exit
     code is 1 if nothing stays, or if something stays that they do not confirm.
     """  # noqa: D205
-    screen = screen_for(
+    with CommandRun(
         "refine", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = discover.RefineOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        source=source,
-        rounds=rounds,
-        with_unexplained=with_unexplained,
-        keep_unconfirmed=keep_unconfirmed,
-    )
-    settings = overridden(DiscoverSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = discover.RefineOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            source=source,
+            rounds=rounds,
+            with_unexplained=with_unexplained,
+            keep_unconfirmed=keep_unconfirmed,
+        )
+        settings = run.settings(DiscoverSettings(), set_values)
         file = discover.refine(
             logs,
             holdout,
@@ -368,11 +361,11 @@ predicted better.
             output=output,
             on_progress=run.on_progress,
         )
-    screen.document(file)
+    run.screen.document(file)
     loop = file.closed_loop
     assert loop is not None  # what a refinement writes
-    show_refinement(screen, loop, file)
-    show_motion(screen, loop.motion, file.robot)
+    show_refinement(run.screen, loop, file)
+    show_motion(run.screen, loop.motion, file.robot)
     run.show_output(
         output, f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"
     )
@@ -424,19 +417,18 @@ def payload(
     without it. Moves of all joints, some of them slow, tell most. The result is in the
     frame of the last joint.
     """
-    screen = screen_for(
+    with CommandRun(
         "payload", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = payloads.PayloadOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        skip_failed=skip_failed,
-        source=source,
-        friction_change=friction_change,
-    )
-    settings = overridden(PayloadSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = payloads.PayloadOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            skip_failed=skip_failed,
+            source=source,
+            friction_change=friction_change,
+        )
+        settings = run.settings(PayloadSettings(), set_values)
         file = payloads.payload(
             logs,
             robot,
@@ -446,7 +438,7 @@ def payload(
             output=output,
             on_progress=run.on_progress,
         )
-    _show_payload(screen, file)
+    _show_payload(run.screen, file)
     run.show_output(output)
     return run.exit_code(file.verdicts, strict=strict)
 

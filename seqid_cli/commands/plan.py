@@ -24,8 +24,7 @@ from seqid_cli.commands.options import (
     is_positive,
     number_check,
 )
-from seqid_cli.commands.robot_file import found_robot
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_for
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile, PlannedStage
 from seqid_cli.params.schema import RobotId
@@ -33,7 +32,6 @@ from seqid_cli.plan import PlanOptions
 from seqid_cli.plan import plan as plan_moves
 from seqid_cli.plan.options import What
 from seqid_cli.plan.settings import PlanSettings
-from seqid_cli.settings import overridden
 
 app = command_app()
 
@@ -220,28 +218,27 @@ standard errors they will give.
     Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a
     robot.
     """  # noqa: D205
-    screen = screen_for(
+    with CommandRun(
         "plan", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, [])
-    options = PlanOptions(
-        duration_s=duration_s,
-        move_s=move_s,
-        together=together,
-        seed=seed,
-        ramp_s=ramp_s,
-        share=share,
-        locked=tuple(locked or ()),
-        speed_scale=speed_scale,
-        between=tuple(between.split(",")) if between else (),
-        joint=joint,
-        load_kg=load_kg,
-        keep_out=tuple(_box(text) for text in keep_out or ()),
-        workspace=None if workspace is None else _box(workspace),
-        floor=floor,
-    )
-    settings = overridden(PlanSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = run.robot_file(robot)
+        options = PlanOptions(
+            duration_s=duration_s,
+            move_s=move_s,
+            together=together,
+            seed=seed,
+            ramp_s=ramp_s,
+            share=share,
+            locked=tuple(locked or ()),
+            speed_scale=speed_scale,
+            between=tuple(between.split(",")) if between else (),
+            joint=joint,
+            load_kg=load_kg,
+            keep_out=tuple(_box(text) for text in keep_out or ()),
+            workspace=None if workspace is None else _box(workspace),
+            floor=floor,
+        )
+        settings = run.settings(PlanSettings(), set_values)
         file = plan_moves(
             what,
             robot,
@@ -252,11 +249,11 @@ standard errors they will give.
             output=output,
             trajectories=trajectories,
         )
-    screen.document(file)
-    _show(screen, file)
+    run.screen.document(file)
+    _show(run.screen, file)
     for path in (trajectories, output):
         if path is not None:
-            screen.note(f"written: {path}")
+            run.screen.note(f"written: {path}")
     return run.exit_code(strict=strict, is_untrusted=any_not_good(file.verdicts))
 
 

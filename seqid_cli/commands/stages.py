@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli import identify
-from seqid_cli.commands.command_run import CommandRun, log_readers
+from seqid_cli.commands.command_run import CommandRun
 from seqid_cli.commands.options import (
     SIX,
     AddedToOption,
@@ -34,13 +34,10 @@ from seqid_cli.commands.options import (
     command_app,
     examples,
 )
-from seqid_cli.commands.robot_file import found_robot
-from seqid_cli.commands.screen.render import screen_for
 from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.identify.options import MAX_POSITION_ORDER
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import ParameterFile, Stages, Verdict
-from seqid_cli.settings import overridden
 
 app = command_app()
 
@@ -111,23 +108,20 @@ def friction(
     The logs hold moves of one joint at a time at constant velocity, forward and
     backward, at several speeds.
     """
-    screen = screen_for(
+    with CommandRun(
         "friction", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.FrictionOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        skip_failed=skip_failed,
-        position_order=position_order,
-        velocity_order=velocity_order,
-        beta=beta,
-    )
-    settings = overridden(identify.FrictionSettings(), set_values or ())
-    with (
-        CommandRun(screen) as run,
-        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
-    ):
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.FrictionOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            skip_failed=skip_failed,
+            position_order=position_order,
+            velocity_order=velocity_order,
+            beta=beta,
+        )
+        settings = run.settings(identify.FrictionSettings(), set_values)
+        executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
         file = identify.friction(
             logs,
             robot,
@@ -177,18 +171,15 @@ def gravity(
     The logs hold moves of one joint at a time at constant velocity, with the other
     joints locked in several configurations.
     """
-    screen = screen_for(
+    with CommandRun(
         "gravity", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.LogOptions(
-        cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
-    )
-    settings = overridden(identify.GravitySettings(), set_values or ())
-    with (
-        CommandRun(screen) as run,
-        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
-    ):
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.LogOptions(
+            cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+        )
+        settings = run.settings(identify.GravitySettings(), set_values)
+        executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
         file = identify.gravity(
             logs,
             robot,
@@ -241,18 +232,15 @@ what they are like.
     configurations. Mounting, place, biases, scales, axes and clock offset are found
     together.
     """  # noqa: D205
-    screen = screen_for(
+    with CommandRun(
         "imu-calib", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.LogOptions(
-        cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
-    )
-    settings = overridden(identify.ImuCalibSettings(), set_values or ())
-    with (
-        CommandRun(screen) as run,
-        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
-    ):
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.LogOptions(
+            cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+        )
+        settings = run.settings(identify.ImuCalibSettings(), set_values)
+        executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
         file = identify.imu_calib(
             logs,
             robot,
@@ -304,22 +292,19 @@ def inertia(
 
     The logs hold moves of two joints (or more) at a time.
     """
-    screen = screen_for(
+    with CommandRun(
         "inertia", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.RigidOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        skip_failed=skip_failed,
-        source=source,
-        consistent=consistent,
-    )
-    settings = overridden(identify.InertiaSettings(), set_values or ())
-    with (
-        CommandRun(screen) as run,
-        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
-    ):
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.RigidOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            skip_failed=skip_failed,
+            source=source,
+            consistent=consistent,
+        )
+        settings = run.settings(identify.InertiaSettings(), set_values)
+        executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
         file = identify.inertia(
             logs,
             robot,
@@ -374,19 +359,18 @@ def simultaneous(
     Any logs will do. For comparison, and for data without moves of single joints. With
     the file of seqid imu-calib (-p) accelerometers are used as well.
     """
-    screen = screen_for(
+    with CommandRun(
         "simultaneous", quiet=quiet, verbose=verbose, json=json, no_color=no_color
-    )
-    robot = robot or found_robot(screen, logs)
-    options = identify.SimultaneousOptions(
-        cutoff_hz=cutoff_hz,
-        time_source=time_source,
-        source=source,
-        consistent=consistent,
-        offset=offset,
-    )
-    settings = overridden(identify.SimultaneousSettings(), set_values or ())
-    with CommandRun(screen) as run:
+    ) as run:
+        robot = run.robot_file(robot, logs)
+        options = identify.SimultaneousOptions(
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            source=source,
+            consistent=consistent,
+            offset=offset,
+        )
+        settings = run.settings(identify.SimultaneousSettings(), set_values)
         file = identify.simultaneous(
             logs,
             robot,

@@ -168,7 +168,7 @@ class CommandRun:
             path = str(log.path)
             self._show_detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
             # The log's own result repeats these; they need not be said twice.
-            self.screen.said.update(f"{path}: {text}" for text in log.mended)
+            self.screen.already_said.update(f"{path}: {text}" for text in log.mended)
             self.findings += log.findings
             self.is_partial = self.is_partial or bool(log.partial)
         self._line.show(progress.done, progress.total, Path(progress.log).name)

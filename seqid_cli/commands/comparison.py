@@ -125,10 +125,10 @@ def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
     changed = [item for item in file.differences if item.different]
     unchanged = [item for item in file.differences if not item.different]
     unchanged.sort(key=lambda item: -(item.relative or 0.0))
-    shown = unchanged if screen.verbose else unchanged[:_SHOWN_UNCHANGED]
+    listed = unchanged if screen.verbose else unchanged[:_SHOWN_UNCHANGED]
 
     rows = []
-    for item in (*changed, *shown):
+    for item in (*changed, *listed):
         verdict = "changed" if item.different else "same"
         if item.different and item.remark:
             verdict = f"changed: {item.remark}"
@@ -146,7 +146,7 @@ def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
     titles = "stage | number | joint | first | second | std errors | relative | verdict"
     kinds = "text text text number5 number5 number share text"
     screen.values(tables.values(titles, kinds, rows))
-    hidden_count = len(unchanged) - len(shown)
+    hidden_count = len(unchanged) - len(listed)
     if hidden_count:
         screen.note(f"{hidden_count} more are unchanged (-v shows them)")
 
@@ -252,9 +252,9 @@ def trend(
 
 def _show_trend(screen: Screen, file: TrendFile) -> None:
     """Print the changes, of each joint and stage the clearest, and the robots."""
-    shown = file.changes if screen.verbose else _clearest(file.changes)
-    screen.values(tables.changes(shown))
-    hidden_count = len(file.changes) - len(shown)
+    listed = file.changes if screen.verbose else _clearest(file.changes)
+    screen.values(tables.changes(listed))
+    hidden_count = len(file.changes) - len(listed)
     if hidden_count:
         screen.note(f"{hidden_count} more of the same joint and stage (-v shows them)")
 

@@ -149,7 +149,7 @@ def _show_prediction(screen: Screen, file: PredictionFile) -> None:
     notes = list(file.notes)
     for log in file.logs:
         notes += [f"{log.path}: {note}" for note in log.notes]
-    show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
+    show_verdicts(screen, file.verdicts, "prediction", notes, in_table=file.joints)
     motion_uses = [log.motion for log in file.logs if log.motion is not None]
     show_motion(screen, motion_uses, file.robot)
 

@@ -71,14 +71,14 @@ class Step:
 class Outcome:
     """What came of a step.
 
-    `level` is the verdict, None where nothing is judged; `shown` is what a table says
+    `level` is the verdict, None where nothing is judged; `summary` is what a table says
     of it, and `reasons` why it is no better. `is_kept` says that nothing had changed,
     so that an earlier run's result stays; `is_partial` that logs were read in part.
     """
 
     step: Step
     level: Level | None
-    shown: str
+    summary: str
     reasons: Sequence[str]
     is_kept: bool
     is_partial: bool
@@ -387,7 +387,7 @@ def _outcome(step: Step, record: Record, runner: StepRunner, *, force: bool) -> 
     return Outcome(
         step=step,
         level=judgement.level,
-        shown=judgement.shown,
+        summary=judgement.summary,
         reasons=judgement.reasons,
         is_kept=earlier is not None,
         is_partial=is_partial,
@@ -399,7 +399,7 @@ class Judgement:
     """The verdict of a result, what a table shows of it, and why it is no better."""
 
     level: Level | None
-    shown: str
+    summary: str
     reasons: Sequence[str] = ()
 
 
@@ -452,13 +452,13 @@ def _show_outcomes(screen: Screen, outcomes: Sequence[Outcome], *, strict: bool)
         command = outcome.step.command
         result = str(outcome.step.result)
         rows.append(
-            (command, outcome.shown, result, "kept" if outcome.is_kept else "made")
+            (command, outcome.summary, result, "kept" if outcome.is_kept else "made")
         )
         steps.append(
             {
                 "command": command,
                 "output": result,
-                "verdict": outcome.shown,
+                "verdict": outcome.summary,
                 "good": outcome.level in (None, "good"),
                 "kept": outcome.is_kept,
                 "partial": outcome.is_partial,

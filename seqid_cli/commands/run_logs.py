@@ -187,8 +187,8 @@ def held_out_of(logs: Sequence[InspectedLog]) -> list[InspectedLog]:
             break
         staying = [x for x in for_inertia if x is not log and x not in held_out]
         pairs_that_stay: set[tuple[str, str]] = set()
-        for other in staying:
-            pairs_that_stay.update(_pairs(other))
+        for staying_log in staying:
+            pairs_that_stay.update(_pairs(staying_log))
         if staying and pairs_that_stay.issuperset(_pairs(log)):
             held_out.append(log)
     return held_out

@@ -61,9 +61,9 @@ class Record:
         record = self._steps.get(outputs[0].name)
         if record is None or not all(path.is_file() for path in outputs):
             return None
-        now = self._of(command_line, inputs, outputs)
-        now.partial = record.partial
-        return record if now == record else None
+        current = self._of(command_line, inputs, outputs)
+        current.partial = record.partial
+        return record if current == record else None
 
     def add(
         self,
@@ -75,9 +75,9 @@ class Record:
     ) -> None:
         """Record how the results that a step has just written were made."""
         outputs = list(outputs)
-        made = self._of(command_line, inputs, outputs)
-        made.partial = partial
-        self._steps[outputs[0].name] = made
+        record = self._of(command_line, inputs, outputs)
+        record.partial = partial
+        self._steps[outputs[0].name] = record
         write_json_atomic(self._path, RunFile(steps=self._steps))
 
     def _of(

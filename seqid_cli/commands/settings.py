@@ -114,7 +114,7 @@ def show_settings(command: TyperCommand, name: str, words: Sequence[str]) -> int
     return 0
 
 
-def _show(screen: Screen, shown: Sequence[Entry]) -> None:
+def _show(screen: Screen, settings: Sequence[Entry]) -> None:
     """Print settings as a table, or as one JSON document."""
     document = [
         {
@@ -126,11 +126,11 @@ def _show(screen: Screen, shown: Sequence[Entry]) -> None:
             "high": entry.high,
             "reason": entry.reason,
         }
-        for entry in shown
+        for entry in settings
     ]
     screen.document({"settings": document})
     rows = [
-        (entry.name, value_text(entry), entry.unit, entry.reason) for entry in shown
+        (entry.name, value_text(entry), entry.unit, entry.reason) for entry in settings
     ]
     screen.table(("setting", "value", "unit", "reason"), rows)
 

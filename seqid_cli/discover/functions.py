@@ -160,7 +160,7 @@ def _discover_options(
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
     source = "needed" if options.source == "auto" else options.source
-    motion = InertiaOptions(filtering, source=source)
+    motion = InertiaOptions(motion=filtering, source=source)
     return DiscoverOptions(motion=motion, settings=settings)
 
 

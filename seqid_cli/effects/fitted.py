@@ -16,7 +16,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FittedEffect:
     """An effect of the catalogue at a joint, with its numbers.
 

@@ -151,7 +151,7 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     return basis
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SmoothTerm:
     """A smooth torque at one joint.
 

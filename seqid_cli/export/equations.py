@@ -258,7 +258,7 @@ def joint_sums(
     squares = np.zeros((pieces, robot.n))
     counts = np.zeros((pieces, robot.n))
 
-    reflected_rotors = gear_ratios(robot) ** 2 * identified.known
+    reflected_rotors = gear_ratios(robot) ** 2 * identified.given_rotors
     for part in samples:
         # The rotors that are known are no unknowns: their torque goes to the right.
         motion = part.motion

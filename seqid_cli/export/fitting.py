@@ -111,7 +111,7 @@ class Fitting:
         values = _solved(quadratic, sums.n_joints, writes_offset=model.writes_offset)
 
         # What the bodies' own effects add is known, and was not part of the torque.
-        with_added = identified(self.stages, model.robot, more=self.added)
+        with_added = identified(self.stages, model.robot, added_by_effects=self.added)
         expression = of_file.basis.expression[list(of_file.rows)]
         by_motion = replace(
             with_added,

@@ -241,7 +241,7 @@ def export_model(
     locked_links = np.zeros((robot.n, PER_LINK))
     if links:
         locked_links = np.array([body.locked_links for body in links])
-    demand = identified(stages, robot, more=effects.parameters)
+    demand = identified(stages, robot, added_by_effects=effects.parameters)
     nearest = nearest_bodies(robot, demand, locked_links)
     bodies = nearest.links + locked_links
     armature = gear_ratios(robot) ** 2 * nearest.rotor
@@ -287,7 +287,7 @@ def with_file_torque(model: ExportModel, stages: Stages) -> ExportModel:
     if stages.inertia is None and stages.gravity is None:
         return model
 
-    demand = identified(stages, model.robot, more=model.added)
+    demand = identified(stages, model.robot, added_by_effects=model.added)
     basis = demand.basis
     rows = np.array(demand.rows)
     if stages.inertia is not None:

@@ -141,7 +141,7 @@ class FullModel:
             stages=stages,
             model=TorqueModel.from_stages(stages, robot),
             effects=tuple(fitted_effects(stages, robot, unexplained=True)),
-            options=InertiaOptions(inherited(stages, None)),
+            options=InertiaOptions(motion=inherited(stages, None)),
         )
 
     def motion(self, log: Recording) -> Motion:

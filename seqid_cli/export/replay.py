@@ -41,7 +41,7 @@ SETTLINGS_LEFT_OUT = 4
 _NOTHING = 1e-6
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _DeferredFriction:
     """Friction of one joint of a written form, asked for first and answered later.
 
@@ -100,7 +100,7 @@ def _friction(
     arm: WrittenArm, sign_widths: Sequence[float], motion: Motion
 ) -> _FormFriction:
     """Return the friction of a written form, whose joints have these `sign_widths`."""
-    laws = [_DeferredFriction(width) for width in sign_widths]
+    laws = [_DeferredFriction(sign_width=width) for width in sign_widths]
     sampled_friction(laws, motion)
 
     # One run of the form answers all joints; those with fewer questions stand at zero

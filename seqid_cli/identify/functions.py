@@ -215,7 +215,7 @@ def inertia(
         log_set,
         arm,
         earlier_stages,
-        options=InertiaOptions(motion, options.source, settings=settings),
+        options=InertiaOptions(motion=motion, source=options.source, settings=settings),
         compare=True,
     )
     stage = result.inertia
@@ -353,7 +353,7 @@ def predict(
         log_set,
         inputs.robot,
         inputs.stages,
-        options=InertiaOptions(motion, options.source),
+        options=InertiaOptions(motion=motion, source=options.source),
         unexplained=options.with_unexplained,
     )
     file = prediction_file(

@@ -110,7 +110,7 @@ def verdicts_by_stage(
     settings : JudgingSettings
     """
     for j, comparison in _comparisons(of_joints, robot, stage, settings):
-        if comparison.left > settings.max_gravity_difference:
+        if comparison.error > settings.max_gravity_difference:
             yield comparison.verdict(robot.joint_names[j], text)
 
 
@@ -118,18 +118,18 @@ def verdicts_by_stage(
 class _Comparison:
     """One joint's gravity beside what it should be.
 
-    `left` is the RMS of the difference and `size` that of the torque, both over the RMS
-    of what is expected; `ratio` is by how much the expected torque is to be multiplied
-    to come nearest.
+    `error` is the RMS of the difference and `size` that of the torque, both over the
+    RMS of what is expected; `ratio` is by how much the expected torque is to be
+    multiplied to come nearest.
     """
 
-    left: float
+    error: float
     size: float
     ratio: float
 
     def verdict(self, joint: str, text: str) -> Verdict:
         """Return that a joint is poor; `text` is as of `verdicts_by_stage`."""
-        reason = text.format(percent(self.left, 0), self.ratio)
+        reason = text.format(percent(self.error, 0), self.ratio)
         return Verdict(joint=joint, good=False, reason=reason)
 
 
@@ -153,7 +153,7 @@ def _comparisons(
         yield (
             j,
             _Comparison(
-                left=rms(gravity.torque - expected) / expected_rms,
+                error=rms(gravity.torque - expected) / expected_rms,
                 size=rms(gravity.torque) / expected_rms,
                 ratio=float(gravity.torque @ expected) / float(expected @ expected),
             ),

@@ -60,7 +60,8 @@ class Inputs:
     missing: tuple[InputError, ...] = ()
     executor: Executor | None = None
     on_progress: OnProgress | None = None
-    said: tuple[str, ...] = ()  # of the robot in these logs, for the result's notes
+    # What is to be said of the robot in these logs, for the result's notes.
+    robot_remarks: tuple[str, ...] = ()
 
     @property
     def stages(self) -> Stages:
@@ -144,7 +145,7 @@ def prepare(
         missing=missing,
         executor=executor,
         on_progress=on_progress,
-        said=remarks,
+        robot_remarks=remarks,
     )
 
 

@@ -32,7 +32,7 @@ P = TypeVar("P")
 PartOf = Callable[[L, int], P]
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LogSet:
     """Logs to be read and worked on.
 
@@ -42,8 +42,8 @@ class LogSet:
     without checks. `time_source` {"header", "log"}: which stamps of an MCAP log count.
     `imus`: whether the readings of IMUs are used, and hence checked. `skip_failed`:
     whether logs that cannot be used are left out. `executor`: who reads and reduces the
-    logs; None does it here. `left_out`: what was left out before. `said`: what is to be
-    said of the robot in these logs.
+    logs; None does it here. `left_out`: what was left out before. `robot_remarks`: what
+    is to be said of the robot in these logs.
     """
 
     logs: Sequence[Path | Recording]
@@ -54,7 +54,7 @@ class LogSet:
     executor: Executor | None = None
     on_progress: Callable[[Progress], None] | None = None
     left_out: list[str] = field(default_factory=list)
-    said: tuple[str, ...] = ()
+    robot_remarks: tuple[str, ...] = ()
     findings: list[InspectionFinding] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
     # log of each content, by SHA-256
@@ -74,7 +74,7 @@ class LogSet:
             skip_failed=inputs.options.skip_failed,
             executor=inputs.executor,
             on_progress=inputs.on_progress,
-            said=inputs.said,
+            robot_remarks=inputs.robot_remarks,
         )
         for error in inputs.missing:
             logs.left_out.append(str(error))
@@ -132,7 +132,11 @@ class LogSet:
         new = [
             _in_words(group) for group in warnings if group[0].message not in set(known)
         ]
-        return [*(f"left out: {text}" for text in self.left_out), *self.said, *new]
+        return [
+            *(f"left out: {text}" for text in self.left_out),
+            *self.robot_remarks,
+            *new,
+        ]
 
     def verdicts(self) -> list[Verdict]:
         """Return a verdict per code, channel and joint of a finding.
@@ -160,7 +164,9 @@ class LogSet:
         """Report the progress."""
         if self.on_progress is not None:
             count = len(self.read) + len(self.left_out)
-            self.on_progress(Progress(state, count, len(self.logs), **details))
+            self.on_progress(
+                Progress(state=state, done=count, total=len(self.logs), **details)
+            )
 
     def mapped(
         self, part: PartOf[Any, P], pass_over_from: int | None = None

@@ -405,7 +405,7 @@ def even_prior(
         prior_std = np.maximum(PRIORS.even_std(rms), 1e-12)
         weights[places] = 1.0 / prior_std
         values[places] = -stated.values
-    return Prior(np.diag(weights), weights * values)
+    return Prior(A=np.diag(weights), b=weights * values)
 
 
 def later_prior(

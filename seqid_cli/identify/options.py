@@ -87,7 +87,7 @@ class PredictOptions(LogOptions):
     with_unexplained: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class InertiaOptions:
     """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused".
 

@@ -14,7 +14,7 @@ from seqid_cli.inspect.channels.positions import Break
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
-from seqid_cli.inspect.findings import found, grouped
+from seqid_cli.inspect.findings import finding_of, grouped
 from seqid_cli.inspect.imu.motion import FOLLOWS, LinkFit, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
 from seqid_cli.inspect.material import LogData
@@ -128,7 +128,7 @@ def check(
     # Each channel by itself.
     findings = [*clock.clock_findings(data), *clock.hole_findings(data)]
     if data.recording.partial:
-        findings.append(found("salvaged", data.recording.partial))
+        findings.append(finding_of("salvaged", data.recording.partial))
     of_torques = [*torques.torque_findings(data), *torques.echo_findings(data)]
     findings += of_torques
     if quality:

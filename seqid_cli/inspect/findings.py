@@ -149,7 +149,7 @@ WARNINGS: Mapping[str, str] = {
 USABLE_AT_MOST = frozenset({"zero_or_mass"})
 
 
-def found(
+def finding_of(
     code: str, message: str, joint: str = "", channel: str = ""
 ) -> InspectionFinding:
     """Make a finding of a known code, with the severity and remedy that belong to it.

@@ -32,7 +32,7 @@ _UNITS = frozenset(
 _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Guess:
     """A guess by names: joints in order, patterns of `[channels]`, IMUs, units."""
 
@@ -52,12 +52,18 @@ def guess(contents: LogContents) -> Guess:
         joint for joint, dot, quantity in ends if dot and quantity == "position"
     )
     if defaults or not joints:
-        return Guess(defaults or contents.joints, {}, imus)
+        return Guess(joints=defaults or contents.joints, patterns={}, imus=imus)
     positions = patterns["position"]
     text = positions if isinstance(positions, str) else " ".join(map(str, positions))
     words = {*_letters(text), *re.findall("°", text)}
     unit: Literal["rad", "deg"] = "deg" if _DEGREES & words else "rad"
-    return Guess(joints, patterns, imus, unit, "mm" if "mm" in words else "m")
+    return Guess(
+        joints=joints,
+        patterns=patterns,
+        imus=imus,
+        unit=unit,
+        length_unit="mm" if "mm" in words else "m",
+    )
 
 
 def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
@@ -87,29 +93,40 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
     # The words must have seen some of the same joints: a pose has positions as well.
     columns = {column_name(form, joint, 0) for joint in read.joints}
     guessed = patterns["position"]
-    seen = {column_name(guessed, joint, k) for k, joint in enumerate(joints)}
-    if seen <= columns:
+    guessed_columns = {column_name(guessed, joint, k) for k, joint in enumerate(joints)}
+    if guessed_columns <= columns:
         return dict(read.patterns), read.joints
     return patterns, joints
 
 
 def _guess_by_words(names: list[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
     """Guess patterns and joints, as of `guess_channels`, by words for quantities."""
-    numbered, named = _numbered(names), _named(names)
+    numbered = _numbered(names)
+    named = _named(names)
     patterns: dict[str, Columns] = {}
     if numbered.get("position"):
         forms = map(sorted, numbered["position"].values())
-        numbers = max(forms, key=lambda own: (_is_range(own), len(own)))
-        for quantity, found in numbered.items():
-            if fitting := [own for own in found.values() if _indexed(own, numbers)]:
+        numbers = max(forms, key=lambda counted: (_is_range(counted), len(counted)))
+        for quantity, columns_of_forms in numbered.items():
+            fitting = [
+                columns
+                for columns in columns_of_forms.values()
+                if _indexed(columns, numbers)
+            ]
+            if fitting:
                 patterns[quantity] = _indexed(max(fitting, key=len), numbers)
         counted = range(1, len(numbers) + 1) if _is_range(numbers) else numbers
         return patterns, tuple(f"joint_{number}" for number in counted)
     if "position" in named:
         form, joints = max(named["position"].items(), key=lambda item: len(item[1]))
-        for quantity, own in named.items():
-            same = [f for f, others in own.items() if set(joints) <= set(others)]
-            patterns |= {quantity: same[0]} if same else {}
+        for quantity, joints_of_forms in named.items():
+            of_all_joints = [
+                quantity_form
+                for quantity_form, form_joints in joints_of_forms.items()
+                if set(joints) <= set(form_joints)
+            ]
+            if of_all_joints:
+                patterns[quantity] = of_all_joints[0]
         return patterns | {"position": form}, tuple(joints)
     for name in names:  # of a single joint, which need no name: `q`, `q_act`, `tau`
         if quantity := _quantity(_words(name)):
@@ -119,14 +136,17 @@ def _guess_by_words(names: list[str]) -> tuple[dict[str, Columns], tuple[str, ..
 
 def _indexed(forms: Mapping[int, str], numbers: list[int]) -> Columns:
     """Write the columns of joints as one pattern where only their number differs."""
-    own = sorted(forms)
-    counted = _is_range(own) and _is_range(numbers)
-    own = own[: len(numbers)] if counted else numbers
-    if len(own) < len(numbers) or not set(own) <= forms.keys():
+    column_numbers = sorted(forms)
+    counted = _is_range(column_numbers) and _is_range(numbers)
+    column_numbers = column_numbers[: len(numbers)] if counted else numbers
+    if len(column_numbers) < len(numbers) or not set(column_numbers) <= forms.keys():
         return ()  # some joint lacks the quantity
-    if counted and len({forms[number] for number in own}) == 1:
-        return forms[own[0]].replace("{#}", "{index0}" if own[0] == 0 else "{index}")
-    columns = tuple(forms[number].replace("{#}", str(number)) for number in own)
+    if counted and len({forms[number] for number in column_numbers}) == 1:
+        first = column_numbers[0]
+        return forms[first].replace("{#}", "{index0}" if first == 0 else "{index}")
+    columns = tuple(
+        forms[number].replace("{#}", str(number)) for number in column_numbers
+    )
     return columns[0] if len(columns) == 1 else columns
 
 
@@ -134,7 +154,7 @@ def _numbered(
     names: list[str], *, max_joints: int = 64
 ) -> dict[str, dict[str, dict[int, str]]]:
     """Forms with `{#}` for the number, by quantity, form without unit, and number."""
-    found: dict[str, dict[str, dict[int, str]]] = {}
+    by_quantity: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
             if any(
@@ -143,20 +163,22 @@ def _numbered(
                 continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
             if quantity := _quantity(_words(form)):
-                forms = found.setdefault(quantity, {}).setdefault(
+                forms = by_quantity.setdefault(quantity, {}).setdefault(
                     _BRACKET.sub("", form), {}
                 )
                 forms.setdefault(int(match[0]), form)
-    for quantity, given in found.items():
-        found[quantity] = {
-            form: own for form, own in given.items() if len(own) <= max_joints
+    for quantity, columns_of_forms in by_quantity.items():
+        by_quantity[quantity] = {
+            form: columns
+            for form, columns in columns_of_forms.items()
+            if len(columns) <= max_joints
         }
-    return found
+    return by_quantity
 
 
 def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
     """Forms with `{name}`, by quantity, with the joints found."""
-    found: dict[str, dict[str, list[str]]] = {}
+    by_quantity: dict[str, dict[str, list[str]]] = {}
     for name in names:
         for separator in ("/", ".", "_"):
             parts = name.split(separator)
@@ -165,13 +187,14 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
                 joint = separator.join(parts[:at] if at else parts[1:]).strip("/")
                 if quantity and joint and not _BESIDE & set(_words(joint)):
                     form = name.replace(joint, "{name}", 1)
-                    found.setdefault(quantity, {}).setdefault(form, []).append(joint)
-    # words of few letters tell a quantity beside several joints only
-    for own in found.values():
-        for form in [form for form, joints in own.items() if len(joints) == 1]:
+                    forms = by_quantity.setdefault(quantity, {})
+                    forms.setdefault(form, []).append(joint)
+    # Words of few letters tell a quantity beside several joints only.
+    for forms in by_quantity.values():
+        for form in [form for form, joints in forms.items() if len(joints) == 1]:
             if max(map(len, _letters(form.replace("{name}", " ")))) <= _SHORT:
-                del own[form]
-    return {quantity: own for quantity, own in found.items() if own}
+                del forms[form]
+    return {quantity: forms for quantity, forms in by_quantity.items() if forms}
 
 
 def _words(text: str) -> list[str]:
@@ -221,11 +244,16 @@ def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
         elif match := re.fullmatch(r"/?(.*imu.*)/data(?:_raw)?", name):
             counts.setdefault(match[1].strip("/"), 3)
             gyros.add(match[1].strip("/"))
-    known = [
-        (imu, n, np.eye(3)[np.arange(n) % 3]) for imu, n in counts.items() if n >= 3
-    ]
     return tuple(
-        Imu(imu, 0, np.zeros((n, 3)), axes, imu in gyros) for imu, n, axes in known
+        Imu(
+            name=imu,
+            after_joint=0,
+            positions=np.zeros((count, 3)),
+            axes=np.eye(3)[np.arange(count) % 3],
+            gyro=imu in gyros,
+        )
+        for imu, count in counts.items()
+        if count >= 3
     )
 
 

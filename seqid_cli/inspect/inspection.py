@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec import structs
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.findings import found, located, verdict_of
+from seqid_cli.inspect.findings import finding_of, located, verdict_of
 from seqid_cli.inspect.guess import Guess, guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
@@ -70,7 +70,9 @@ def inspect_logs(
     findings_of_logs: list[InspectionFinding] = []
     for done, path in enumerate(paths):
         if on_progress is not None:
-            on_progress(Progress("reading", done, len(paths), str(path)))
+            on_progress(
+                Progress(state="reading", done=done, total=len(paths), log=str(path))
+            )
         with local_copy(path) as file:
             inspected = inspect_log(
                 file, robot, settings=settings, time_source=time_source
@@ -108,7 +110,7 @@ def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
         path = first_path.setdefault(log.sha256, log.path)
         if path != log.path:
             text = f"has the same content as {path}"
-            findings += located([found("duplicate_log", text)], log.path)
+            findings += located([finding_of("duplicate_log", text)], log.path)
     return findings
 
 
@@ -201,7 +203,7 @@ class _Reader:
         modelled : bool
             Whether the robot's geometry is known.
         """
-        gathered = Gathered(robot, modelled)
+        gathered = Gathered(robot=robot, modelled=modelled)
         first_stamp_ns = None
         log = LogFile.at(self.path, time_source=self.time_source)
         for recording, raw in read_parts(log, robot, failed=gathered.failed):
@@ -226,7 +228,7 @@ def _of_joints_left_out(
     """Return the robot with joints that its file leaves out as they stand in a log."""
     left_out = standing_joints(path, robot)
     findings = [
-        found(
+        finding_of(
             "joint_left_out" if standing.moves else "joint_stands",
             standing.message,
             standing.joint.name,
@@ -244,7 +246,7 @@ def _why_it_does_not_fit(
     """Return joints that a log lacks, with the nearest names, and the findings."""
     missing, findings = _lacking("joint", robot.joint_names, guessed.joints, 0.5)
     if not findings:
-        findings = [found("channel_missing", problem.message)]
+        findings = [finding_of("channel_missing", problem.message)]
     if problem.hint:
         findings = [structs.replace(f, remedy=problem.hint) for f in findings]
     return missing, findings
@@ -271,7 +273,7 @@ def _inspect_guessed(
             "neither torque nor current is logged, but of other joints; it is left out"
         )
         for name in lacking.joints:
-            findings.append(found("torque_missing", text, name))
+            findings.append(finding_of("torque_missing", text, name))
         robot = stand_in(replace(guessed, joints=driven), source=reader.path)
         return reader.inspect(robot, findings, modelled=False)
 
@@ -298,7 +300,7 @@ def _unreadable(
     findings: Sequence[InspectionFinding] = (),
 ) -> Inspected:
     """Return a log that cannot be read, with the reason."""
-    finding = found("unreadable", error.message)
+    finding = finding_of("unreadable", error.message)
     finding = structs.replace(finding, remedy=error.hint or finding.remedy)
     log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
     return Inspected(log, located((*findings, finding), path))
@@ -371,5 +373,5 @@ def _lacking(
         text = f"the log has no {kind} {name!r}"
         if nearest:
             text += f"; nearest: {nearest!r}"
-        findings.append(found("channel_missing", text, name, nearest))
+        findings.append(finding_of("channel_missing", text, name, nearest))
     return missing, findings

@@ -16,7 +16,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
-from seqid_cli.inspect.findings import found, grouped, located, verdict_of
+from seqid_cli.inspect.findings import finding_of, grouped, located, verdict_of
 from seqid_cli.inspect.imu.motion import LinkFit
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
@@ -42,7 +42,7 @@ class Inspected(NamedTuple):
     stamps_s: tuple[float, float] | None = None
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Gathered:
     """The parts of a log so far, taken in their order.
 
@@ -166,7 +166,7 @@ class Gathered:
         if not self.parts:
             raise self.lost[0]
         of_parts = [self._once(group) for group in grouped(self.findings)]
-        of_lost = [found("channel_hole", error.message) for error in self.lost]
+        of_lost = [finding_of("channel_hole", error.message) for error in self.lost]
         findings = located((*earlier_findings, *of_parts, *of_lost), path)
 
         samples = [part.samples for part in self.parts]

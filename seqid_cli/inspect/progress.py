@@ -26,7 +26,7 @@ class LogNote:
     stamps_s: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Progress:
     """Progress of a function, reported before a log is read and after it was worked on.
 

@@ -316,7 +316,9 @@ def _joint(
         if guessed.unit == "deg":
             step = math.degrees(step)
     if joint is None:
-        return JointTemplate(inspected.name, encoder_step=step, moves=inspected.moves)
+        return JointTemplate(
+            name=inspected.name, encoder_step=step, moves=inspected.moves
+        )
 
     limits = None
     if joint.lower is not None and joint.upper is not None:

@@ -23,7 +23,7 @@ changes near the slowest speed.
 """
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -77,7 +77,7 @@ class FrictionLaw(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
@@ -115,7 +115,6 @@ class FrictionSurface:
     positive: Array
     negative: Array
     entry_covariance: Array
-    _: KW_ONLY
     directional: bool
     temperature: float | None = None
     torque_constant_error: float = 0.0

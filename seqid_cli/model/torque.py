@@ -73,7 +73,7 @@ class Predicted:
     high: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TorqueModel:
     """Everything identified so far, ready to predict.
 

@@ -67,21 +67,21 @@ class Belief:
         Friction of each joint, where a stage knows it.
     theta : (b,) float, optional
         Base parameters; None where neither a stage nor a URDF gives any.
-    root : (b, k) float
-        Root of their covariance ``root @ root.T``.
+    covariance_root : (b, k) float
+        Root of their covariance ``covariance_root @ covariance_root.T``.
     friction : (n,) float
         Size of friction where there is no surface [N m].
-    density : (n,) float
+    information_rate : (n,) float
         Information per second and (N m)^2 of each joint, by its noise.
     sweep_variance : (n,) float
         Variance [(N m)^2] that a friction surface leaves of one way of a slow sweep, as
         a friction stage measured it; NaN where none did.
     prior : (b, b) float
         Information on the base parameters from earlier stages.
-    slow : (n,) float
+    slow_speed : (n,) float
         Speed below which a joint's samples count little [rad/s; m/s where prismatic].
     noise_origin : str
-        Where `density` comes from, in words.
+        Where `information_rate` comes from, in words.
     geometry : Geometry, optional
         Shapes of the arm, and boxes to keep out of.
     floor : Floor, optional
@@ -94,12 +94,12 @@ class Belief:
     limits: Limits
     surfaces: list[FrictionSurface | None]
     theta: Array | None
-    root: Array
+    covariance_root: Array
     friction: Array
-    density: Array
+    information_rate: Array
     sweep_variance: Array
     prior: Array
-    slow: Array
+    slow_speed: Array
     noise_origin: str
     geometry: Geometry | None = None
     floor: Floor | None = None
@@ -148,8 +148,8 @@ class Belief:
     def weights(self, moves: Moves) -> Array:
         """Return the information of samples (M, N, n) per (N m)^2: those that slide."""
         step_s = float(moves.t[1] - moves.t[0])
-        certainty = moves.dq**2 / (moves.dq**2 + self.slow**2)
-        return step_s * self.density * certainty
+        certainty = moves.dq**2 / (moves.dq**2 + self.slow_speed**2)
+        return step_s * self.information_rate * certainty
 
     def information(self, moves: Moves, H: Array) -> Array:
         """Return the information (M, b, b) of moves with rows H (M, N, n, b)."""
@@ -167,7 +167,7 @@ class Belief:
                 float(self.friction[j]),
                 q.ravel(),
                 states.dq[..., j].ravel(),
-                slowest=float(self.slow[j]),
+                slowest=float(self.slow_speed[j]),
             )
             sizes[..., j] = size.reshape(q.shape)
         return sizes
@@ -248,7 +248,7 @@ class Belief:
             self.surfaces, moves.q.reshape(-1, n), moves.dq.reshape(-1, n)
         )
         tau += friction.reshape(tau.shape)
-        std_error = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
+        std_error = np.sqrt(np.sum((H @ self.covariance_root) ** 2, axis=3))
         return np.asarray(np.abs(tau) + self.margins.torque_sigma * std_error)
 
     def overload(self, moves: Moves, H: Array) -> Array:
@@ -301,12 +301,12 @@ def belief_of(
         limits=limits,
         surfaces=surfaces,
         theta=theta,
-        root=root,
+        covariance_root=root,
         friction=np.zeros(robot.n),
-        density=np.ones(robot.n),
+        information_rate=np.ones(robot.n),
         sweep_variance=np.full(robot.n, np.nan),
         prior=gravity.A.T @ gravity.A,
-        slow=np.maximum(slowest_speeds(surfaces), rest_share * limits.speed),
+        slow_speed=np.maximum(slowest_speeds(surfaces), rest_share * limits.speed),
         noise_origin="",
         margins=margins,
     )
@@ -315,7 +315,7 @@ def belief_of(
     return replace(
         without_noise,
         friction=friction_share * usual_torque,
-        density=density,
+        information_rate=density,
         sweep_variance=_sweep_variance(robot, stages),
         noise_origin=noise_origin,
         geometry=geometry,
@@ -353,9 +353,9 @@ def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
             )
             speed_squared = motion.dq[rows] ** 2
             weights = (
-                belief.density
+                belief.information_rate
                 * speed_squared
-                / (speed_squared + belief.slow**2)
+                / (speed_squared + belief.slow_speed**2)
                 / motion.rate_hz
             )
             weighted = (np.sqrt(weights)[..., None] * H).reshape(-1, size)

@@ -103,7 +103,7 @@ def plan(
     limits = limits_of(
         arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked
     )
-    logs = LogSet(log_paths, arm)
+    logs = LogSet(logs=log_paths, robot=arm)
     geometry = _geometry(arm, limits, options)
     floor = None
     if options.floor:

@@ -101,7 +101,7 @@ def make_plan(
         moves = _with_torques(belief, moves, options)
 
     names = robot.joint_names
-    noise = np.sqrt(2.0 / belief.density)
+    noise = np.sqrt(2.0 / belief.information_rate)
     duration_s = sum(move.duration_s for move in moves)
     verdicts = []
     for name, of_stage in planned.items():

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Imu
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointTemplate:
     """Values of a joint; None where they are not known."""
 

@@ -14,7 +14,7 @@ from msgspec import structs
 from seqid_cli.__main__ import main
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.diagnosis import (
@@ -127,7 +127,7 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     assert robot.joint_names == ("shoulder", "elbow")
     assert stages.inertia is not None
     assert given == DiscoverOptions(
-        InertiaOptions(MotionOptions(12.0, origin="as given"), "imu")
+        InertiaOptions(motion=MotionOptions(12.0, origin="as given"), source="imu")
     )
     assert reader.time_source == "log"
 
@@ -169,8 +169,8 @@ def test_errors_of_the_logs_are_in_the_document(
     rig: Rig, reader: Reader, library: Library
 ) -> None:
     reader.findings = (
-        found("position_spikes", "jumps", joint="elbow", channel="position"),
-        found("clock_gap", "1 gaps"),
+        finding_of("position_spikes", "jumps", joint="elbow", channel="position"),
+        finding_of("clock_gap", "1 gaps"),
     )
     document = json.loads(rig.run(*BASE, "--json").out)
     jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))

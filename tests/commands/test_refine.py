@@ -129,7 +129,7 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     assert library.training == ["a.parquet", "d.parquet"]
     assert library.held_out == ["b.parquet", "c.parquet"]
     assert library.options == DiscoverOptions(
-        InertiaOptions(MotionOptions(9.0, origin="as given"), "encoder"),
+        InertiaOptions(motion=MotionOptions(9.0, origin="as given"), source="encoder"),
         max_effects=2,
         with_unexplained=True,
     )

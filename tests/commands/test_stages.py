@@ -17,7 +17,7 @@ from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import GravityResult
 from seqid_cli.identify.rigid.inertia import InertiaResult
 from seqid_cli.identify.settings import FrictionSettings
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage
@@ -78,7 +78,7 @@ def test_stages_build_on_what_was_there(
     calls = identified("rigid.inertia", "identify_inertia", result)
     arguments = ["a.parquet", "-r", "robot.toml", "-p", "out.json", "-o", "final.json"]
     assert rig.run("inertia", *arguments, "--motion", "imu").code == 0
-    assert calls[3] == InertiaOptions(MotionOptions(), "imu")
+    assert calls[3] == InertiaOptions(motion=MotionOptions(), source="imu")
     file = read_parameters(rig.folder / "final.json")
     stages = file.stages
     assert None not in (stages.friction, stages.gravity, stages.imu, stages.inertia)
@@ -152,7 +152,9 @@ def test_what_is_poor(rig: Rig, reader: Reader, identified: Replace, name: str) 
     stage = friction_stage(good=name != "poor")
     identified("friction_surface.stage", "identify_friction", stage)
     if name == "faulty":
-        fault = found("sign_mismatch", "it would gain", joint="elbow", channel="torque")
+        fault = finding_of(
+            "sign_mismatch", "it would gain", joint="elbow", channel="torque"
+        )
         reader.findings = (fault,)
     elif name == "partial":
         reader.partial = "the last 12 of 40 chunks are damaged"

@@ -39,14 +39,14 @@ def test_nothing_that_steers_is_left(text: str) -> None:
 def test_every_way_to_the_screen(
     color: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    screen = Screen("inspect", verbose=True, color=color)
+    screen = Screen(command="inspect", verbose=True, color=color)
     screen.table(("log", "x"), [(EVIL, "1")])
     for say in (screen.result, screen.warn, screen.remark, screen.detail):
         say(EVIL)
     shown = capsys.readouterr()
     assert "]0;owned" in shown.out
     assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]", shown.out + shown.err)
-    Screen("inspect", json=True).document({"name": EVIL})
+    Screen(command="inspect", json=True).document({"name": EVIL})
     text = capsys.readouterr().out
     assert not STEERING.search(text)
     assert json.loads(text) == {"name": EVIL}
@@ -75,7 +75,7 @@ def test_joints_that_slide_have_units_of_their_own(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Every row says its unit where joints of both kinds mix; else the heads say it."""
-    screen, stages, arm = Screen("inertia"), inertia_file().stages, robot()
+    screen, stages, arm = Screen(command="inertia"), inertia_file().stages, robot()
     arm.prismatic = ["elbow"]
     show_stages(screen, stages, arm)
     mixed = capsys.readouterr().out

@@ -100,7 +100,7 @@ def predicted(case: Case, cutoff_hz: float | None = None) -> HeldOut:
     robot, train, rest = case.logs()
     stages = simultaneous(train, robot, cutoff_hz=cutoff_hz)
     return held_out(
-        rest, robot, stages, InertiaOptions(MotionOptions(cutoff_hz=cutoff_hz))
+        rest, robot, stages, InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff_hz))
     )
 
 
@@ -206,7 +206,7 @@ class Closed:
 def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFile:
     motion = MotionOptions()
     friction, inertia = identify_simultaneous(logs, robot, options=motion, offset=True)
-    options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
+    options = DiscoverOptions(InertiaOptions(motion=motion), max_effects=most)
     return diagnose(
         logs, robot, Stages(friction=friction, inertia=inertia), options=options
     )

@@ -11,13 +11,13 @@ from seqid_cli.params.encode import encode
 from seqid_cli.params.results.tables import Values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Screen:
     """How one command talks to its user.
 
     With `json`, stdout carries one JSON document and nothing else. `color` is of
-    stdout, `color_messages` of stderr. `said` are the warnings and remarks, each of
-    which is said once.
+    stdout, `color_messages` of stderr. `already_said` are the warnings and remarks,
+    each of which is said once.
     """
 
     command: str
@@ -26,7 +26,7 @@ class Screen:
     json: bool = False
     color: bool = False
     color_messages: bool = False
-    said: set[str] = field(default_factory=set)
+    already_said: set[str] = field(default_factory=set)
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a result as a table."""
@@ -46,10 +46,10 @@ class Screen:
         )
         sys.stdout.write(text)
 
-    def values(self, found: Values) -> None:
+    def values(self, values: Values) -> None:
         """Print values under their heads."""
-        heads = [f"{head.title} {head.unit}".rstrip() for head in found.heads]
-        self.table(heads, found.cells(number, percent))
+        heads = [f"{head.title} {head.unit}".rstrip() for head in values.heads]
+        self.table(heads, values.cells(number, percent))
 
     def result(self, line: str) -> None:
         """Print one line of the result."""
@@ -63,9 +63,9 @@ class Screen:
 
     def warn(self, message: str) -> None:
         """Say what may be wrong, once."""
-        if message in self.said:
+        if message in self.already_said:
             return
-        self.said.add(message)
+        self.already_said.add(message)
         write_warning(f"seqid {self.command}", message, color=self.color_messages)
 
     def error(self, message: str, hint: str) -> None:
@@ -76,8 +76,8 @@ class Screen:
     def remark(self, *messages: str) -> None:
         """Say what a result remarks, unless it was said before."""
         for message in messages:
-            if message not in self.said:
-                self.said.add(message)
+            if message not in self.already_said:
+                self.already_said.add(message)
                 line = layout.visible(f"note: {message}")
                 self.note(layout.folded(line, sys.stderr))
 

@@ -32,27 +32,31 @@ def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
     return f"{level}: {poor_because(verdicts, joint)}"
 
 
-def show_poor(screen: Screen, verdicts: Sequence[schema.Verdict], whole: str) -> None:
+def show_poor(
+    screen: Screen, verdicts: Sequence[schema.Verdict], name_of_whole: str
+) -> None:
     """Print the verdicts that are not good, of a document without a line per joint."""
-    show_verdicts(screen, [verdict for verdict in verdicts if not verdict.good], whole)
+    show_verdicts(
+        screen, [verdict for verdict in verdicts if not verdict.good], name_of_whole
+    )
 
 
 def show_verdicts(
     screen: Screen,
     verdicts: Sequence[schema.Verdict],
-    whole: str,
+    name_of_whole: str,
     notes: Sequence[str] = (),
     *,
-    shown: Collection[str] = (),
+    in_table: Collection[str] = (),
 ) -> None:
     """Print the verdicts and the notes.
 
-    `whole` names what a verdict without a joint is on; joints in `shown` are left out,
-    as a table has their verdicts.
+    `name_of_whole` names what a verdict without a joint is on; joints `in_table` are
+    left out, as a table has their verdicts.
     """
     for name in dict.fromkeys(verdict.joint for verdict in verdicts):
-        if name not in shown:
-            screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
+        if name not in in_table:
+            screen.result(f"{name or name_of_whole}: {verdict_text(verdicts, name)}")
     screen.remark(*notes)
 
 
@@ -78,7 +82,9 @@ def _friction(
     )
     kinds = "text text number number share text"
     screen.values(of_joints(titles, kinds, rows, robot))
-    show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
+    show_verdicts(
+        screen, stage.verdicts, "friction", stage.notes, in_table=stage.joints
+    )
 
 
 def _rigid(
@@ -106,7 +112,7 @@ def _rigid(
     ]
     titles = "joint | RMS error [{unit}] | verdict"
     screen.values(of_joints(titles, "text number text", joints, robot))
-    show_verdicts(screen, stage.verdicts, name, stage.notes, shown=stage.rmse)
+    show_verdicts(screen, stage.verdicts, name, stage.notes, in_table=stage.rmse)
     show_motion(screen, stage.motion_use, robot)
 
 
@@ -124,7 +130,7 @@ def _imu(screen: Screen, stage: schema.ImuStage) -> None:
         rows.append(row)
     titles = "imu | std error deg | axis error deg | configurations | verdict"
     screen.values(values(titles, "text number number count text", rows))
-    show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)
+    show_verdicts(screen, stage.verdicts, "imu", stage.notes, in_table=stage.imus)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +142,7 @@ class _AccelerationErrors:
 
     joint: str
     chosen: float
-    other: float
+    by_other: float
 
 
 def show_motion(
@@ -157,7 +163,9 @@ def show_motion(
         shares.append(f"{source}{names} in {count} of {len(uses)} logs")
 
     with_imus = [
-        _AccelerationErrors(joint=joint, chosen=error, other=use.encoder_error[joint])
+        _AccelerationErrors(
+            joint=joint, chosen=error, by_other=use.encoder_error[joint]
+        )
         for use in uses
         for joint, error in use.acceleration_error.items()
         if use.imus
@@ -165,7 +173,9 @@ def show_motion(
     # Both errors below the encoders' own cut-off, where the IMUs would have made it
     # worse.
     by_encoders = [
-        _AccelerationErrors(joint=joint, chosen=use.encoder_error[joint], other=error)
+        _AccelerationErrors(
+            joint=joint, chosen=use.encoder_error[joint], by_other=error
+        )
         for use in uses
         for joint, error in use.fused_error.items()
         if not use.imus
@@ -198,10 +208,11 @@ def _median_errors(
         by_unit.setdefault(unit, []).append(error)
 
     text = ""
-    for unit, alike in by_unit.items():
-        chosen = number(median(error.chosen for error in alike), 2)
-        other = number(median(error.other for error in alike), 2)
+    for unit, unit_errors in by_unit.items():
+        chosen_error = number(median(error.chosen for error in unit_errors), 2)
+        other_error = number(median(error.by_other for error in unit_errors), 2)
         text += (
-            f"; acceleration known to {chosen} {unit}, {other_source} {other} (medians)"
+            f"; acceleration known to {chosen_error} {unit}, {other_source}"
+            f" {other_error} (medians)"
         )
     return text

@@ -336,7 +336,7 @@ def _named(effects: Sequence[RefinementRound | EffectOfPlace]) -> str:
 def text_chart(
     x: Sequence[float],
     y: Sequence[float],
-    after: Sequence[float] = (),
+    lower: Sequence[float] = (),
     *,
     over: str,
     label: str,
@@ -349,7 +349,7 @@ def text_chart(
         Need not be even or sorted. Values that fall into one column are averaged.
     y : sequence of float, N
         Drawn as `*`, above what is drawn as `o`.
-    after : sequence of float, N or none
+    lower : sequence of float, N or none
         The same after something was taken off, drawn as `o`.
     over, label : str
         What x and y are.
@@ -362,8 +362,8 @@ def text_chart(
     if len(x) < 2 or min(x) == max(x):
         return []
     curves = [("*", _column_means(x, y))]
-    if after:
-        curves.insert(0, ("o", _column_means(x, after)))
+    if lower:
+        curves.insert(0, ("o", _column_means(x, lower)))
     heights: list[float] = []
     for _, means in curves:
         heights += means.values()
@@ -389,7 +389,7 @@ def _framed(
 ) -> list[str]:
     """Return the lines of a chart with its axes, their ends, and what they are."""
     low, high = (number(end) for end in y_range)
-    left, right = (number(end) for end in x_range)
+    first, last = (number(end) for end in x_range)
     ends = [high, *[""] * (len(canvas) - 2), low]
     width = max(map(len, ends))
     margin = " " * (width + 2)
@@ -398,16 +398,16 @@ def _framed(
     for end, row in zip(ends, canvas, strict=True):
         lines.append(f"{end.rjust(width)} |{''.join(row)}".rstrip())
     lines.append(f"{' ' * width} +{'-' * _CHART_COLUMNS}")
-    lines.append(f"{margin}{left}{right.rjust(_CHART_COLUMNS - len(left))}  {over}")
+    lines.append(f"{margin}{first}{last.rjust(_CHART_COLUMNS - len(first))}  {over}")
     return lines
 
 
 def _column_means(x: Sequence[float], y: Sequence[float]) -> Mapping[int, float]:
     """Return the mean of y in each column of the chart that has any, by its number."""
-    left = min(x)
-    span = max(x) - left
+    first = min(x)
+    span = max(x) - first
     columns: dict[int, list[float]] = {}
     for position, value in zip(x, y, strict=True):
-        column = round((position - left) / span * (_CHART_COLUMNS - 1))
+        column = round((position - first) / span * (_CHART_COLUMNS - 1))
         columns.setdefault(column, []).append(value)
     return {column: sum(inside) / len(inside) for column, inside in columns.items()}

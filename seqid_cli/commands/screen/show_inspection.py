@@ -64,8 +64,11 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     grouped = len(logs) > _LISTED_LOGS and not screen.verbose
     groups: dict[object, list[InspectedLog]] = {}
     for k, log in enumerate(logs):
-        alike = (log.verdict, log.format, _moving_joints(log), tuple(log.serves))
-        groups.setdefault(alike if grouped else k, []).append(log)
+        row_of_log: object = k
+        if grouped:
+            serves = tuple(log.serves)
+            row_of_log = (log.verdict, log.format, _moving_joints(log), serves)
+        groups.setdefault(row_of_log, []).append(log)
 
     uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
     # Names tell the format; where they share it, jitter and gaps have the room.
@@ -81,13 +84,16 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     rows = []
     for group in groups.values():
         first = group[0]
-        others = f" and {len(group) - 1} more" if len(group) > 1 else ""
+        further_logs = f" and {len(group) - 1} more" if len(group) > 1 else ""
         rate_hz = median(log.rate_hz for log in group)
-        row: list[object] = [first.path.removeprefix(folder) + others, first.verdict]
+        row: list[object] = [
+            first.path.removeprefix(folder) + further_logs,
+            first.verdict,
+        ]
         if with_format:
             row.append(first.format or None)
         row.append(sum(log.seconds for log in group))
-        row.append(number(rate_hz, 4 if others else 5))
+        row.append(number(rate_hz, 4 if further_logs else 5))
         if uneven:
             row.append(max(log.jitter for log in group))
             row.append(sum(len(log.gaps) for log in group))
@@ -141,19 +147,19 @@ def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
     shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for finding in sorted(findings, key=lambda x: _GRAVEST_FIRST.index(x.severity)):
         if screen.verbose:
-            alike = finding.log + finding.joint + finding.message
+            subject = finding.log + finding.joint + finding.message
         else:
-            alike = _message_of_any(finding)
-        shared.setdefault((finding.code, alike), []).append(finding)
+            subject = _message_of_any(finding)
+        shared.setdefault((finding.code, subject), []).append(finding)
 
     for group in shared.values():
         first = group[0]
         logs = {finding.log for finding in group}
-        others = f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else ""
+        further_logs = f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else ""
         joints = dict.fromkeys(finding.joint for finding in group if finding.joint)
         channels = {finding.channel for finding in group}
         place = (
-            f"{first.log}{others}",
+            f"{first.log}{further_logs}",
             ", ".join(joints),
             first.channel if len(channels) == 1 else "",
         )

@@ -317,9 +317,9 @@ def _fitted_effects(material: RefinementData, fit: Model) -> list[FittedEffect]:
     session = session_of(material.training, starts, is_shared)
     return [
         FittedEffect(
-            candidate.effect,
-            candidate.joint,
-            candidate.settings,
+            effect=candidate.effect,
+            joint=candidate.joint,
+            settings=candidate.settings,
             coefficients=fit.coefficients(term),
             covariance=fit.covariance(term),
             session=session,

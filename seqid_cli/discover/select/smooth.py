@@ -104,7 +104,11 @@ class SmoothFunction:
     def fitted(self, c: Array) -> SmoothTerm:
         """Return the term of coefficients c (k,)."""
         return SmoothTerm(
-            self.joint, self.quantities, self.axes, self.factor, self.mixing @ c
+            joint=self.joint,
+            quantities=self.quantities,
+            axes=self.axes,
+            factor=self.factor,
+            coefficients=self.mixing @ c,
         )
 
 

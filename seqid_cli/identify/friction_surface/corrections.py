@@ -150,9 +150,9 @@ def _inertia_of(
         # Windows at speeds at which friction was seen; the others hold a reversal or a
         # rest.
         speed = np.abs(trial.ramps.dq)
-        seen = (speed >= low) & (speed <= high)
-        n_windows += int(seen.sum())
-        for part, chosen in ((trial, slice(None)), (trial.ramps, seen)):
+        is_known = (speed >= low) & (speed <= high)
+        n_windows += int(is_known.sum())
+        for part, chosen in ((trial, slice(None)), (trial.ramps, is_known)):
             q = part.q[chosen]
             a = gravity_columns(robot, trial.joint, group[0].configuration, q)
             y = part.tau[chosen] - surface.torque(q, part.dq[chosen])
@@ -226,7 +226,7 @@ class HeldJoints:
             points += [trial.places - offset, trial.places + offset]
         columns = self.columns_of(joint, points)
         pairs = zip(columns[::2], columns[1::2], strict=True)
-        return [(before + after) / 2.0 for before, after in pairs]
+        return [(first + second) / 2.0 for first, second in pairs]
 
     def columns_of(self, joint: int, places: Sequence[Array]) -> list[Array]:
         """Return H_g (K, p) of a joint at each of several sets of positions (K, n)."""
@@ -276,8 +276,9 @@ class HeldJoints:
         for trial in group:
             has_count = (np.arange(n) != joint) & (trial.count > 0.0)
             std = np.where(has_count, trial.count / np.sqrt(12.0), 0.0)
-            aside = trial.places + np.diag(std)[:, None, :]
-            places.append(np.concatenate([trial.places[None], aside]).reshape(-1, n))
+            displaced = trial.places + np.diag(std)[:, None, :]
+            all_places = np.concatenate([trial.places[None], displaced])
+            places.append(all_places.reshape(-1, n))
         torques = []
         for H in self.columns_of(joint, places):
             torque = (H @ self.theta).reshape(n + 1, -1)

@@ -27,7 +27,7 @@ from seqid_cli.typing import Array, Mask
 DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
 CELLS = 17  # per axis, at which two surfaces are compared
 # orders over position and velocity that the user fixes
-Asked = tuple[int | None, int | None]
+FixedOrders = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class SurfaceFit:
         return Normal.of(self.reduced, self.sizes, self.highest.velocity)
 
     @cached_property
-    def whole(self) -> EntryPosterior:
+    def highest_posterior(self) -> EntryPosterior:
         """Entries (k,) of the surface of the highest orders, and covariance (k, k)."""
         return self.normal.posterior(self.prior.ravel())
 
@@ -89,12 +89,12 @@ class SurfaceFit:
         errs too.
         """
         places = np.flatnonzero(self._mask(orders))
-        covariance = self.whole.covariance[np.ix_(places, places)]
+        covariance = self.highest_posterior.covariance[np.ix_(places, places)]
         columns = self._grid.columns[:, places]
         squares = np.einsum("nk,kl,nl->", columns, covariance, columns, optimize=True)
-        whole_squares = float(np.sum(self._grid.std_error**2))
+        highest_squares = float(np.sum(self._grid.std_error**2))
         return np.asarray(
-            covariance * max(whole_squares / max(float(squares), 1e-300), 1.0)
+            covariance * max(highest_squares / max(float(squares), 1e-300), 1.0)
         )
 
     def shared_term(self, orders: Orders, place: int) -> "SharedTerm":
@@ -109,8 +109,8 @@ class SurfaceFit:
             `reduction.WARM`.
         """
         row = (self.reduced.size + place) * (self.highest.velocity + 1)
-        mean = self.whole.mean
-        covariance = self.whole.covariance
+        mean = self.highest_posterior.mean
+        covariance = self.highest_posterior.covariance
         variance = float(covariance[row, row])
         places = np.flatnonzero(self._mask(orders))
         return SharedTerm(
@@ -132,7 +132,7 @@ class SurfaceFit:
         """Return the RMS difference from the whole surface, in its standard errors."""
         entries = np.zeros(self.prior.size)
         entries[self._mask(orders)] = self.entries(orders).ravel()
-        difference = self._grid.columns @ (entries - self.whole.mean)
+        difference = self._grid.columns @ (entries - self.highest_posterior.mean)
         return float(np.sqrt(np.mean((difference / self._grid.std_error) ** 2)))
 
     def distances(self, data: Sequence[SpeedData]) -> list[Array]:
@@ -143,7 +143,7 @@ class SurfaceFit:
         """
         over_position = self.reduced.scaling.over_position
         order = over_position.order(self.reduced.size)
-        D = self.whole.mean.reshape(self.prior.shape)[: self.reduced.size]
+        D = self.highest_posterior.mean.reshape(self.prior.shape)[: self.reduced.size]
         levels = D @ self.reduced.over_speed(self.highest.velocity).T
         distances = []
         for k, item in enumerate(data):
@@ -177,7 +177,11 @@ class SurfaceFit:
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
         variance = np.einsum(
-            "nk,kl,nl->n", columns, self.whole.covariance, columns, optimize=True
+            "nk,kl,nl->n",
+            columns,
+            self.highest_posterior.covariance,
+            columns,
+            optimize=True,
         )
         return ErrorGrid(columns, np.sqrt(np.maximum(variance, 1e-300)))
 
@@ -210,9 +214,9 @@ class SurfaceFit:
         return solved[of_surface[fitted]].reshape(-1, orders.velocity + 1)
 
 
-def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
+def highest_orders(sets: Sequence[Reduced], fixed: FixedOrders) -> Orders:
     """Return the orders that the data, or the user, allow at most."""
-    position, velocity = asked
+    position, velocity = fixed
     if position is None:
         position = sets[0].highest_position_order
     if velocity is None:
@@ -222,7 +226,9 @@ def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
 
 
 def fit_surfaces(
-    sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
+    sets: Sequence[Reduced],
+    fixed: FixedOrders = (None, None),
+    near: Sizes | None = None,
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common.
 
@@ -230,7 +236,7 @@ def fit_surfaces(
     ----------
     sets : sequence of Reduced
         Sets of trials.
-    asked : tuple of int or None
+    fixed : tuple of int or None
         Orders over position and velocity that the user fixes.
     near : Sizes, optional
         Sizes that the search starts from.
@@ -242,14 +248,14 @@ def fit_surfaces(
     evidence : float
         Twice the log marginal likelihood.
     """
-    highest = highest_orders(sets, asked)
+    highest = highest_orders(sets, fixed)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(trials, sizes, highest) for trials in sets], evidence
 
 
 def choose_orders(
     fits: Sequence[SurfaceFit],
-    asked: Asked,
+    fixed: FixedOrders,
     *,
     accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
@@ -259,7 +265,7 @@ def choose_orders(
     ----------
     fits : sequence of SurfaceFit
         One surface for both directions, or one for each.
-    asked : tuple of int or None
+    fixed : tuple of int or None
         Orders over position and velocity that the user fixes.
     accept : callable, optional
         Whether orders are enough, such as Eq. 11. Where none are, as noise may have it,
@@ -268,7 +274,7 @@ def choose_orders(
     """
     highest = fits[0].highest
     size = fits[0].reduced.scaling.over_position.size
-    position, velocity = asked
+    position, velocity = fixed
     lowest = min(1, highest.velocity) if velocity is None else velocity
     steps = [
         Orders(m, l)

@@ -57,7 +57,7 @@ class SmoothFriction:
         return np.column_stack([np.ones(len(q)), dry, self.torque(q, speed) - dry])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GravityGroup:
     """Trials in one configuration and their gravity.
 
@@ -120,7 +120,7 @@ class GravityFit:
         return float(np.sqrt(np.mean(even**2) / max(float(np.mean(size**2)), 1e-300)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Clustered:
     """Least squares of rows that share errors in clusters.
 
@@ -182,7 +182,13 @@ class Clustered:
         scores = np.zeros((int(cluster.max()) + 1, A.shape[1]))
         np.add.at(scores, cluster, A * residual[:, None])
         of_prior = bread * precision * np.where(np.isfinite(prior_std), prior_std, 0.0)
-        return cls(theta, residual, bread, scores @ bread, of_prior @ of_prior.T)
+        return cls(
+            theta=theta,
+            residual=residual,
+            bread=bread,
+            moves=scores @ bread,
+            prior_covariance=of_prior @ of_prior.T,
+        )
 
     @property
     def covariance(self) -> Array:
@@ -272,7 +278,11 @@ def fit_gravity(
     if len(paired) < len(groups) and not loads:
         # Nothing to remove, no twin needed.
         return GravityFit(
-            [GravityGroup(robot, group, none, none) for group in groups], 0
+            [
+                GravityGroup(robot=robot, trials=group, p_xi=none, std_error=none)
+                for group in groups
+            ],
+            0,
         )
     unpaired = sum(map(len, groups)) - sum(len(group) for group, _ in paired)
     if not paired:
@@ -292,7 +302,13 @@ def fit_gravity(
     std_error = fit.std_error
     ends = pairwise(np.cumsum([0, *(columns.shape[1] for columns in by_group)]))
     separated = [
-        GravityGroup(robot, group, fit.theta[start:stop], std_error[start:stop], beyond)
+        GravityGroup(
+            robot=robot,
+            trials=group,
+            p_xi=fit.theta[start:stop],
+            std_error=std_error[start:stop],
+            beyond=beyond,
+        )
         for (group, _), (start, stop) in zip(paired, ends, strict=True)
     ]
     return GravityFit(separated, unpaired, even, friction)

@@ -231,16 +231,16 @@ class Evidence:
 
     def __init__(self, sets: Sequence[Reduced], highest: Orders) -> None:
         mean_squares = []
-        rest = 0.0
+        residual_squares = 0.0
         n_free = 0.0
         for trials in sets:
-            squares = np.sum(trials.z**2) + trials.rest.sum()
+            squares = np.sum(trials.z**2) + trials.residual_squares.sum()
             mean_squares.append(squares / trials.total.sum())
-            rest += float(trials.rest.sum())
+            residual_squares += float(trials.residual_squares.sum())
             spare = trials.slices - trials.z.shape[1]
             n_free += float(np.maximum(spare, 0.0).sum())
         level = max(float(np.sqrt(max(mean_squares))), 1e-300)
-        noise = float(np.sqrt(rest / n_free)) if n_free > 0 else 0.0
+        noise = float(np.sqrt(residual_squares / n_free)) if n_free > 0 else 0.0
         noise = max(noise, LEAST_NOISE * level)
 
         self.sets = sets
@@ -274,10 +274,10 @@ class Evidence:
         normal = Normal.of(trials, sizes, self.highest.velocity)
         posterior = normal.posterior(prior.ravel())
         n_beyond = float(np.sum(trials.slices - trials.z.shape[1]))
-        rest = float(trials.rest.sum()) / sizes.noise**2
+        scaled_squares = float(trials.residual_squares.sum()) / sizes.noise**2
         value = normal.log_size + normal.power + posterior.log_size
         value -= float(posterior.mean @ normal.b)
-        value += 2.0 * n_beyond * np.log(sizes.noise) + rest
+        value += 2.0 * n_beyond * np.log(sizes.noise) + scaled_squares
 
         # How much of each entry's prior variance the data have taken away.
         second_moment = np.diag(posterior.covariance) + posterior.mean**2
@@ -292,7 +292,7 @@ class Evidence:
         slope[1] = share[0, 2:].sum()
         slope[2] = share[1:, 1:].sum()
         slope[3:8] = self._error_slopes(trials, sizes, normal, posterior)
-        slope[7] += n_beyond - rest
+        slope[7] += n_beyond - scaled_squares
         share[0, :2] = 0.0  # of broad ones, whose variances do not fall
         surface_share = share[: trials.size]
         over_position = trials.scaling.over_position
@@ -366,7 +366,7 @@ class Evidence:
     ) -> Array:
         """Return derivatives (5,) by half the logarithms of trial ... noise.
 
-        They leave out the residual `rest` of the reduction.
+        They leave out the `residual_squares` of the reduction.
         """
         R = trials.R
         phi = normal.phi

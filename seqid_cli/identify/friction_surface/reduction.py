@@ -137,8 +137,9 @@ class Reduced:
     """Trials after step 1: T trials, p functions of position and six more columns.
 
     `speeds` (T,) rad/s and `u` (T,) scaled are of the trials; `R` (T, p + 6, p + 6) and
-    `z` (T, p + 6) their factors, `rest` (T,) the squares that no such function takes.
-    `total` (T,) are sums of weights, `slices` (T,) how many slices there are.
+    `z` (T, p + 6) their factors, `residual_squares` (T,) the squares that no such
+    function takes. `total` (T,) are sums of weights, `slices` (T,) how many slices
+    there are.
     """
 
     scaling: Scaling
@@ -146,7 +147,7 @@ class Reduced:
     u: Array
     R: Array
     z: Array
-    rest: Array
+    residual_squares: Array
     total: Array
     slices: Array
 
@@ -169,17 +170,17 @@ class Reduced:
         """Return Chebyshev values (T, order + 1) at the trials' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)
 
-    def subset(self, kept: Mask) -> "Reduced":
+    def subset(self, chosen: Mask) -> "Reduced":
         """Return some of the trials, by a mask (T,)."""
         return Reduced(
             scaling=self.scaling,
-            speeds=self.speeds[kept],
-            u=self.u[kept],
-            R=self.R[kept],
-            z=self.z[kept],
-            rest=self.rest[kept],
-            total=self.total[kept],
-            slices=self.slices[kept],
+            speeds=self.speeds[chosen],
+            u=self.u[chosen],
+            R=self.R[chosen],
+            z=self.z[chosen],
+            residual_squares=self.residual_squares[chosen],
+            total=self.total[chosen],
+            slices=self.slices[chosen],
         )
 
 
@@ -187,7 +188,7 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
     """Reduce every trial to its R factor (Eq. 8)."""
     factors: list[Array] = []
     right_sides: list[Array] = []
-    rests: list[float] = []
+    residual_squares: list[float] = []
     for item in data:
         over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
         shared = [item.push, item.doubt, item.late, item.warm]
@@ -204,7 +205,7 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
         empty = np.linalg.norm(R, axis=1) <= EMPTY_SHARE * np.linalg.norm(R)
         factors.append(R)
         right_sides.append(np.where(empty, 0.0, z))
-        rests.append(float(factor[size, size] ** 2 + np.sum(z[empty] ** 2)))
+        residual_squares.append(float(factor[size, size] ** 2 + np.sum(z[empty] ** 2)))
     speeds = np.array([item.speed for item in data])
     return Reduced(
         scaling=scaling,
@@ -212,7 +213,7 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
         u=scaling.u(speeds),
         R=np.array(factors),
         z=np.array(right_sides),
-        rest=np.array(rests),
+        residual_squares=np.array(residual_squares),
         total=np.array([float(item.weight.sum()) for item in data]),
         slices=np.array([float(np.count_nonzero(item.belongs)) for item in data]),
     )

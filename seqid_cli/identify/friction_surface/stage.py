@@ -21,7 +21,11 @@ from seqid_cli.identify.friction_surface.corrections import (
     HeldJoints,
     without_acceleration,
 )
-from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.fit import (
+    FixedOrders,
+    choose_orders,
+    fit_surfaces,
+)
 from seqid_cli.identify.friction_surface.gravity_separation import (
     GravityFit,
     GravityGroup,
@@ -258,12 +262,12 @@ def _fit(
     # One surface for both directions together: what is alike both ways has been taken
     # off.
     data = _friction_data(gravity, held)
-    orders_asked = (options.position_order, options.velocity_order)
+    fixed_orders = (options.position_order, options.velocity_order)
     _check_speeds(robot, j, data, options.velocity_order)
     scalings = _scalings(data)
     if near is None:
         scalings = scalings[:1]
-    parts = _fitted(data, scalings, orders_asked, near)
+    parts = _fitted(data, scalings, fixed_orders, near)
     fits = [fit for _, fit in parts]
 
     def meets_criterion(orders: reduction.Orders) -> bool:
@@ -273,7 +277,7 @@ def _fit(
 
     orders = choose_orders(
         fits,
-        orders_asked,
+        fixed_orders,
         accept=None if options.beta is None else meets_criterion,
     )
     entries = fits[0].entries(orders)
@@ -358,7 +362,7 @@ def _marginalised(
 def _fitted(
     data: list[SpeedData],
     scalings: list[Scaling],
-    orders_asked: Asked,
+    fixed_orders: FixedOrders,
     near: Sizes | None,
 ) -> list[summary.Part]:
     """Fit a joint's surface on the likeliest basis, slices that do not belong left out.
@@ -372,7 +376,7 @@ def _fitted(
         best_evidence = -np.inf
         for scaling in scalings if tries_all_bases else scalings[:1]:
             reduced = reduction.reduce_trials(weighted, scaling)
-            fits, evidence = fit_surfaces([reduced], orders_asked, near)
+            fits, evidence = fit_surfaces([reduced], fixed_orders, near)
             if evidence > best_evidence:
                 best_evidence = evidence
                 fit = fits[0]

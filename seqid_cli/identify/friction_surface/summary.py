@@ -179,7 +179,7 @@ class Term:
     moves: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fit:
     """One joint's friction data, freed of gravity, and the surface fitted to them."""
 

@@ -43,7 +43,7 @@ class Ramps(NamedTuple):
     noise: float = 0.0  # of ddq, standard deviation for positions with one of 1 rad
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trial:
     """One joint at constant velocity.
 

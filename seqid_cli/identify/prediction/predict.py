@@ -215,7 +215,7 @@ def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
     return has_all_friction and all(effect.local for effect in effects)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Predictor:
     """Predictor of one log, or of the parts of a long log as they are iterated over."""
 

@@ -56,10 +56,15 @@ def survey_of(log: Recording | LongLog) -> Survey:
 
 def plan_of(log: LongLog, robot: Robot, options: MotionOptions) -> Plan:
     """How a log that is passed over is filtered."""
-    resolution, survey = encoder_resolution(robot), survey_of(log)
+    resolution = encoder_resolution(robot)
+    survey = survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
-    kept, step = options.samples_per_cutoff, survey.noise_step(resolution)
-    return make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=kept)
+    return make_plan(
+        log.rate_hz,
+        cutoff,
+        survey.noise_step(resolution),
+        samples_per_cutoff=options.samples_per_cutoff,
+    )
 
 
 def torque_motion(
@@ -82,10 +87,11 @@ def torque_motion(
 def cutoff_note(uses: Sequence[MotionUse], options: MotionOptions) -> str:
     """Say which low-pass was used and where it came from."""
     cutoffs = [use.cutoff_hz for use in uses]
-    low, high = min(cutoffs), max(cutoffs)
-    span = (
-        f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
-    )
+    low = min(cutoffs)
+    high = max(cutoffs)
+    span = f"{low:.3g} to {high:.3g} Hz"
+    if high - low < 0.005 * high:
+        span = f"{low:.3g} Hz"
     if options.cutoff_hz is not None:
         return f"low-pass {span}, {options.origin or 'as given'} (--cutoff overrides)"
     return (
@@ -123,7 +129,8 @@ def filtered_regressor(
     rows = room.reshape(loaded.size, -1)
     for start in range(first, last, chunk):
         stop = min(start + chunk, last)
-        low, high = max(0, start - reach), min(stop + reach, motion.samples)
+        low = max(0, start - reach)
+        high = min(stop + reach, motion.samples)
         near = motion.part(slice(low, high))
         inner = slice(start - low, stop - low)
         base_regressor(robot, basis, near.q, near.dq, near.ddq, out=room)

@@ -174,7 +174,7 @@ class Accumulator:
         return float(norm / np.sqrt(max(self.samples - fitted, 1)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Prior:
     """Knowledge of earlier stages: rows A theta = b of unit variance, (k, p) and (k,).
 

@@ -34,7 +34,7 @@ from seqid_cli.typing import Array, Index
 STARTS = ((0.0, 0.0, 0.0), (-4.0, 2.0, -4.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rows:
     """Rows H (N, p) theta + error = y of one joint, in any order; all others (N,)."""
 

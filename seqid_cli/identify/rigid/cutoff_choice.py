@@ -412,7 +412,9 @@ class InertiaTrial:
         motion = MotionOptions(
             cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
         )
-        options = InertiaOptions(motion, self._source, settings=self._settings)
+        options = InertiaOptions(
+            motion=motion, source=self._source, settings=self._settings
+        )
         trial_equations = _TrialEquations(
             self._robot, self._stages, options, only_compares=True
         )

@@ -332,7 +332,7 @@ class GravityRows:
         A = np.zeros((DRIVE_TERMS * n, self.columns))
         A[: len(even.b), self.size : self.size + len(even.b)] = even.A
         A[len(even.b) :, self.size + len(even.b) :] = np.diag(thermal_weights)
-        return Prior(A, np.concatenate([even.b, np.zeros(n)]))
+        return Prior(A=A, b=np.concatenate([even.b, np.zeros(n)]))
 
     def tolerance_moves(self, solution: Solution) -> dict[str, Array]:
         """Return moves of the unknowns (q,) per standard deviation of tolerances.

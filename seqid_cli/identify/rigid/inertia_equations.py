@@ -141,7 +141,7 @@ PER_KELVIN = 4
 FAMILY_SIZE = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DriveColumns:
     """What the drives add to the torques of n joints, filtered alike, all (N, n).
 

@@ -177,7 +177,7 @@ def gravity_prior(
     They are on the base parameters that the stage determined.
     """
     if gravity is None or not gravity.parameters:
-        return Prior(np.zeros((0, basis.size)), np.zeros(0))
+        return Prior(A=np.zeros((0, basis.size)), b=np.zeros(0))
 
     size = int(basis.gravity.sum())
     rows = whitened(np.array(gravity.covariance))

@@ -190,7 +190,7 @@ class SimultaneousEquations:
         rows = np.zeros((len(delays) + len(waves), self.nuisances.stop))
         rows[: len(delays), self.delays] = delays
         rows[len(delays) :, self.delays.stop :] = waves
-        return Prior(rows, np.zeros(len(rows)))
+        return Prior(A=rows, b=np.zeros(len(rows)))
 
     def solved(self, prior: Prior) -> Solution:
         """Solve for base parameters, friction, delays and waves."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
@@ -66,9 +66,9 @@ def clock_findings(
     if not min_hz <= rate_hz <= max_hz:
         unit = " but looks like ms" if 0.02 <= rate_hz <= min_hz else ""
         text = f"{text}: the time column is not in seconds{unit}"
-        yield found("time_unit", text, channel="t")
+        yield finding_of("time_unit", text, channel="t")
     elif rate_hz < slow_hz:
-        yield found("rate_low", text)
+        yield finding_of("rate_low", text)
 
     # Where intervals scatter, gaps are a part of that.
     if health.jitter > JITTER_LIMIT:
@@ -76,14 +76,14 @@ def clock_findings(
         text = f"the sample interval scatters by {share} of its median"
         if health.gaps:
             text += f", with {len(health.gaps)} gaps"
-        yield found("jitter", text)
+        yield finding_of("jitter", text)
     else:
         yield from _gap_findings(data)
 
     delay_s = health.log_minus_header_s
     if delay_s is not None and not min_delay_s <= delay_s <= max_delay_s:
         text = f"messages are logged {delay_s:.6g} s after their header stamp"
-        yield found("header_clock", text)
+        yield finding_of("header_clock", text)
     yield from _warning_findings(data)
 
 
@@ -97,7 +97,7 @@ def _gap_findings(data: LogData) -> Iterator[InspectionFinding]:
             f"{len(gaps)} gaps, {lost_s:.3g} s in all, the longest from {start:.3f} to"
             f" {stop:.3f} s"
         )
-        yield found("clock_gap", text)
+        yield finding_of("clock_gap", text)
 
 
 def _gaps(data: LogData) -> list[tuple[float, float]]:
@@ -129,7 +129,7 @@ def _warning_findings(data: LogData) -> Iterator[InspectionFinding]:
             subject = ""
         code = _code_of(text)
         if code:
-            yield found(code, text, subject)
+            yield finding_of(code, text, subject)
 
 
 def _code_of(warning: str) -> str:
@@ -167,4 +167,4 @@ def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
             text = f"has no values from {start:.3f} to {stop:.3f} s"
             if n_holes > 1:
                 text += f" and {n_holes - 1} more times"
-            yield found("channel_hole", text, name, quantity)
+            yield finding_of("channel_hole", text, name, quantity)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -61,7 +61,7 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
             continue
         damage = _damage(t_joint, q, lattice(q))
         if damage is not None:
-            finding = found(damage.code, damage.text, joint.name, "position")
+            finding = finding_of(damage.code, damage.text, joint.name, "position")
             breaks.append(Break(joint=j, finding=finding, rows=rows[damage.rows]))
     return breaks
 
@@ -108,18 +108,18 @@ def position_quality(
         travels_far = np.ptp(q) > 20 * max(declared, step)
         if step and travels_far and abs(step / declared - 1.0) > 0.1:
             text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
-            yield found("encoder_resolution", text, joint.name, "position")
+            yield finding_of("encoder_resolution", text, joint.name, "position")
 
         group_size = held(q)
         if group_size > 1 and data.moves(j):
             text = f"the position repeats each value {group_size} times"
-            yield found("channel_held", text, joint.name, "position")
+            yield finding_of("channel_held", text, joint.name, "position")
 
         speed = top_speed(data, j)
         limit = joint.velocity_limit
         if limit is not None and speed > settings.max_speed * limit:
             text = f"reaches {speed:.3g}, velocity_limit is {limit:.3g}"
-            yield found("speed_limit", text, joint.name, "position")
+            yield finding_of("speed_limit", text, joint.name, "position")
 
 
 class _OtherUnit(NamedTuple):
@@ -173,8 +173,8 @@ def _unit(
         # In a unit so large that hardly any motion is left, anything is within.
         fills = (most - least) / abs(unit.factor) >= min_outside * span
         if beyond > span and fills and is_within(unit.factor):
-            return found(unit.code, text, joint.name, "position")
-    return found("position_limits", text, joint.name, "position")
+            return finding_of(unit.code, text, joint.name, "position")
+    return finding_of("position_limits", text, joint.name, "position")
 
 
 def fast_in_degrees(
@@ -195,7 +195,9 @@ def fast_in_degrees(
     if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
         for j, speed in zip(moving, speeds, strict=True):
             text = f"moves at {speed:.3g} per second: it looks like degrees"
-            yield found("position_in_degrees", text, robot.joints[j].name, "position")
+            yield finding_of(
+                "position_in_degrees", text, robot.joints[j].name, "position"
+            )
 
 
 def top_speed(data: LogData, j: int) -> float:

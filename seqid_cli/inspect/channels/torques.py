@@ -14,7 +14,7 @@ from seqid_cli.inspect.channels.values import (
 )
 from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import ChannelSettings
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -27,18 +27,18 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the torque or current of every joint."""
     effort = data.effort()
     if effort is None:
-        yield found("torque_missing", "there is neither torque nor current")
+        yield finding_of("torque_missing", "there is neither torque nor current")
         return
     quantity, values = effort
     for j, joint in enumerate(data.robot.joints):
         for code, text in _of_channel(data, j, values[:, j], quantity):
-            yield found(code, text, joint.name, quantity)
+            yield finding_of(code, text, joint.name, quantity)
     if quantity == "torque" and _may_be_current(data):
         text = (
             "could be torque or current: the robot file gives torque_constant, the log"
             " torque"
         )
-        yield found("effort_unclear", text, channel=quantity)
+        yield finding_of("effort_unclear", text, channel=quantity)
 
 
 def _may_be_current(data: LogData) -> bool:
@@ -149,14 +149,14 @@ def torque_quality(
         group_size = held(values)
         if group_size > 1:
             text = f"repeats each value {group_size} times"
-            yield found("channel_held", text, name, quantity)
+            yield finding_of("channel_held", text, name, quantity)
 
         step = lattice(values)
         spread = float(values[moving].std()) if moving.any() else 0.0
         is_dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
         if step and spread and step > max_step * spread and not is_dithered:
             text = f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
-            yield found("torque_quantised", text, name, quantity)
+            yield finding_of("torque_quantised", text, name, quantity)
 
 
 def _stuck(
@@ -183,7 +183,7 @@ def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
     for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
         # Noise of a joint that stands makes travel, but no motion.
         if data.moves(j):
-            yield found("torque_echo", WARNING, data.robot.joint_names[j])
+            yield finding_of("torque_echo", WARNING, data.robot.joint_names[j])
 
 
 def sensor_findings(
@@ -213,7 +213,7 @@ def sensor_findings(
                     "runs against the motor's side: their correlation is"
                     f" {correlation:.2f}"
                 )
-                yield found("sensor_sign", text, name, channel)
+                yield finding_of("sensor_sign", text, name, channel)
 
 
 def _correlation(a: Array, b: Array, moving: Mask) -> float:
@@ -241,13 +241,13 @@ def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
         step = float(np.abs(np.diff(values)).max(initial=0.0))
         if 240.0 < median < 420.0:
             text = f"is {median:.4g} in the median"
-            yield found("temperature_in_kelvin", text, name, "temperature")
+            yield finding_of("temperature_in_kelvin", text, name, "temperature")
         elif low == high == 0.0:
             text = "is exactly 0 throughout"
-            yield found("temperature_nonsense", text, name, "temperature")
+            yield finding_of("temperature_nonsense", text, name, "temperature")
         elif low < -40.0 or high > 200.0 or step > 20.0:
             text = (
                 f"runs from {low:.4g} to {high:.4g} degC, in steps of up to"
                 f" {step:.3g} K"
             )
-            yield found("temperature_nonsense", text, name, "temperature")
+            yield finding_of("temperature_nonsense", text, name, "temperature")

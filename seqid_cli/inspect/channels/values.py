@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -143,4 +143,4 @@ def missing(
     share = 1.0 - covered / float(present[-1] - present[0])
     if share > max_missing:
         text = f"{percent(share)} of the values are missing"
-        yield found("values_missing", text, joint, channel)
+        yield finding_of("values_missing", text, joint, channel)

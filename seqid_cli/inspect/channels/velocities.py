@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import welch
 
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Joint
@@ -75,7 +75,7 @@ def velocity_findings(
     for j in stuck:
         seconds = window_s * n_still[j]
         text = f"stands still for {seconds:.2g} s in which its velocity moves it"
-        yield found("position_stuck", text, names[j], "position")
+        yield finding_of("position_stuck", text, names[j], "position")
     live = [j for j in moving if j not in stuck]
 
     # One wrong unit of time explains the gains of all joints.
@@ -83,7 +83,7 @@ def velocity_findings(
     factor = _time_factor(clear_gains)
     if factor is not None:
         text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
-        yield found("time_unit", text, channel="t")
+        yield finding_of("time_unit", text, channel="t")
         return
 
     for a, b in crossed:
@@ -91,7 +91,7 @@ def velocity_findings(
             f"the velocity of {names[a]} fits the position of {names[b]} and the other"
             " way round"
         )
-        yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "velocity")
+        yield finding_of("joints_swapped", text, f"{names[a]}, {names[b]}", "velocity")
     for j in live:
         if j not in crossed_joints:
             yield from _verdict(
@@ -214,7 +214,7 @@ def _verdict(
     """
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
-        yield found("velocity_zero", text, joint.name, "velocity")
+        yield finding_of("velocity_zero", text, joint.name, "velocity")
         return
 
     text = f"the position changes by {gain:.3g} times the velocity's integral"
@@ -230,8 +230,8 @@ def _verdict(
         near = NEAR if factor > 0.0 else 0.2
         if abs(correlation) > CORRELATED and abs(gain / factor - 1.0) < near:
             channel = code.partition("_")[0]
-            yield found(code, text, joint.name, channel)
+            yield finding_of(code, text, joint.name, channel)
             return
     if not min_gain < gain < max_gain or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"
-        yield found("velocity_inconsistent", text, joint.name, "velocity")
+        yield finding_of("velocity_inconsistent", text, joint.name, "velocity")

@@ -18,7 +18,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, zero_off
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_regressor
@@ -98,7 +98,7 @@ def _structural(
     is_fast = (sample.rms_speeds > min_steps * data.step)[list(sample.moving)].all()
     if error > settings.max_unexplained and is_fast:
         text = f"the equations leave {percent(error, 0)} of the torque's RMS"
-        yield found("model_mismatch", text)
+        yield finding_of("model_mismatch", text)
 
 
 def _nearly_right(
@@ -127,12 +127,14 @@ def _nearly_right(
     if best is None:
         return
     shifted_error = _structural_error(best.cause.on(sample))
-    before = _beyond(_nominal_error(sample), error)
-    after = _beyond(best.error, shifted_error)
-    if after > min(max_ratio * before, max_left):
+    error_before = _beyond(_nominal_error(sample), error)
+    error_after = _beyond(best.error, shifted_error)
+    if error_after > min(max_ratio * error_before, max_left):
         return
     fall = _fall(
-        before, after, "what the URDF's inertials leave beyond free parameters"
+        error_before,
+        error_after,
+        "what the URDF's inertials leave beyond free parameters",
     )
     if shifted_error < error / CLEARLY:
         yield _mended(sample.robot, [best.cause], fall)
@@ -142,7 +144,7 @@ def _nearly_right(
             f"{best.cause.text}, or its centre of mass is not where the URDF has it;"
             f" {fall}"
         )
-        yield found("zero_or_mass", text, name, "position")
+        yield finding_of("zero_or_mass", text, name, "position")
 
 
 class _Fit(NamedTuple):
@@ -223,14 +225,16 @@ def _shifted(
     return causes
 
 
-def _fall(before: float, after: float, what: str = "the equations' error") -> str:
+def _fall(
+    error_before: float, error_after: float, quantity: str = "the equations' error"
+) -> str:
     """Return in words how far a change lowers an error."""
-    return f"{what} falls from {percent(before)} to {percent(after)}"
+    return f"{quantity} falls from {percent(error_before)} to {percent(error_after)}"
 
 
 def _mending(
     sample: Sample,
-    before: float,
+    error_before: float,
     measure: Measure,
     causes: Sequence[Cause],
     *,
@@ -251,7 +255,7 @@ def _mending(
     ----------
     sample : Sample
         Rows of the log.
-    before : float
+    error_before : float
         Its error as it is [-].
     measure : callable
         Error of a sample [-].
@@ -282,19 +286,19 @@ def _mending(
     least = np.inf
     for kind in kinds:
         fits = [_Fit(measure(cause.on(sample)), cause) for cause in kind]
-        limit = min(max_ratio * before, max_error)
+        limit = min(max_ratio * error_before, max_error)
         mends = [fit for fit in fits if fit.error <= limit]
         best = min((fit.error for fit in mends), default=np.inf)
-        alike = [fit.cause for fit in mends if fit.error < best / BETTER]
-        places = {frozenset(cause.joints) for cause in alike}
+        as_good = [fit.cause for fit in mends if fit.error < best / BETTER]
+        places = {frozenset(cause.joints) for cause in as_good}
         if best < BETTER * least and len(places) <= max_alike:
-            chosen = alike
+            chosen = as_good
             least = best
     if not chosen:
         return None
     if sample.robot.nominal is not None:
         chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)))
-    return _mended(sample.robot, chosen, _fall(before, least))
+    return _mended(sample.robot, chosen, _fall(error_before, least))
 
 
 def _mended(robot: Robot, causes: Sequence[Cause], fall: str) -> InspectionFinding:
@@ -304,7 +308,7 @@ def _mended(robot: Robot, causes: Sequence[Cause], fall: str) -> InspectionFindi
         # Without inertials of a URDF gravity may as well act the other way.
         count = 2 if robot.nominal is None else 1
         along = " or ".join(each.text for each in causes[:count])
-        return found(cause.code, f"gravity acts along {along}; {fall}")
+        return finding_of(cause.code, f"gravity acts along {along}; {fall}")
 
     text = f"{cause.text}; {fall}"
     others = [
@@ -314,7 +318,7 @@ def _mended(robot: Robot, causes: Sequence[Cause], fall: str) -> InspectionFindi
     ]
     if others:
         text += f" (as well with {'; or '.join(others)})"
-    return found(cause.code, text, _joints_in_words(robot, cause), cause.channel)
+    return finding_of(cause.code, text, _joints_in_words(robot, cause), cause.channel)
 
 
 def _joints_in_words(robot: Robot, cause: Cause) -> str:
@@ -377,8 +381,8 @@ def _structural_error(sample: Sample) -> float:
     n = sample.robot.n
     Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
     # Joints share the rigid body, but no joint has the friction of another.
-    own = sample.own_columns()[:, :, None] * np.eye(n)[:, :, None]
-    X = np.concatenate([Y, own.reshape(len(sample.tau), n, -1)], axis=2)
+    friction = sample.friction_columns()[:, :, None] * np.eye(n)[:, :, None]
+    X = np.concatenate([Y, friction.reshape(len(sample.tau), n, -1)], axis=2)
 
     sliding = _sliding(sample)
     squares = np.where(sliding, sample.tau, 0.0) ** 2
@@ -412,14 +416,14 @@ def _nominal_error(sample: Sample) -> float:
     """Return the RMS that URDF and friction leave, in shares of torques' spreads."""
     gravity_and_inertia = np.sum(sample.nominal(), axis=0)
     difference = sample.tau - gravity_and_inertia
-    own = sample.own_columns()
+    friction = sample.friction_columns()
     sliding = _sliding(sample)
     shares = []
     for j in sample.moving:
         rows = sliding[:, j]
         if not rows.any():
             continue
-        residual = scaled_fit(own[rows, j], difference[rows, j]).residual
+        residual = scaled_fit(friction[rows, j], difference[rows, j]).residual
         variance = max(float(sample.tau[rows, j].var()), 1e-300)
         shares.append(np.mean(residual**2) / variance)
     return float(np.sqrt(np.mean(shares))) if shares else 0.0
@@ -447,7 +451,7 @@ def _weights(
     gravity, inertia = sample.nominal()
     variation = gravity.std(axis=0)
     largest = largest_gravity(robot)
-    own = sample.own_columns()
+    friction = sample.friction_columns()
     for j in sample.moving:
         # Forces and torques are not to be compared.
         is_prismatic = robot.joints[j].prismatic
@@ -457,7 +461,7 @@ def _weights(
         most_in_log = max(float(variation[of_kind].max()), HEAVY)
         if variation[j] < max(min_load * most_in_log, min_acting * largest[j]):
             continue
-        X = np.column_stack([gravity[:, j], inertia[:, j], own[:, j]])
+        X = np.column_stack([gravity[:, j], inertia[:, j], friction[:, j]])
         fit = scaled_fit(X, sample.tau[:, j])
         variance = float(np.mean(fit.residual**2)) * sample.memory
         of_gravity = fit.inverse[0]
@@ -504,7 +508,7 @@ def _scale(
         if not is_opposite:
             torque_per_ampere = abs(joint.torque_per_ampere or 0.0)
             code = _scale_code(quantity, abs(weight.ratio), torque_per_ampere)
-        yield found(code, text, joint.name, quantity)
+        yield finding_of(code, text, joint.name, quantity)
 
 
 def _scale_code(quantity: str, ratio: float, torque_per_ampere: float) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.signal import correlate
 
 from seqid_cli.inspect.dynamics.echo import driven, smooth
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -77,7 +77,7 @@ class Sample:
             return np.zeros((*self.q.shape, 0))
         return gravity_base_regressor(self.robot, self.basis, self.q)
 
-    def own_columns(self) -> Array:
+    def friction_columns(self) -> Array:
         """Return columns (N, n, 4) of one joint each: offset, rotor, direction, speed.
 
         Of a joint that does not move all but the offset are zero.
@@ -226,7 +226,7 @@ def friction_findings(
         text = (
             f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
         )
-        yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "torque")
+        yield finding_of("joints_swapped", text, f"{names[a]}, {names[b]}", "torque")
 
     for j in sample.moving:
         fit = fits[j]
@@ -242,7 +242,7 @@ def friction_findings(
                 f" {sample.rms_speeds[j]:.3g} {joint.unit('rad/s')}: the joint would"
                 " gain energy"
             )
-            yield found("sign_mismatch", text, names[j], "torque")
+            yield finding_of("sign_mismatch", text, names[j], "torque")
 
 
 class ScaledFit(NamedTuple):

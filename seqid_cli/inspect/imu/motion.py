@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.imu.readings import odd_channel
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.motion import Motion
@@ -358,7 +358,7 @@ def motion_findings(
         if fit.left > FOLLOWS:
             share = percent(fit.left, 0)
             text = f"the motion of its link leaves {share} of its variance unexplained"
-            yield found("imu_not_moving", text, name)
+            yield finding_of("imu_not_moving", text, name)
             continue
 
         least_s = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
@@ -369,7 +369,7 @@ def motion_findings(
                 f"its readings are {1e3 * fit.delay:.1f} +- {1e3 * error_s:.1g} ms"
                 " behind the encoders"
             )
-            yield found("imu_delay", text, name)
+            yield finding_of("imu_delay", text, name)
         yield from _gyro(fit) if fit.gyro else _axes(data, fit)
 
 
@@ -422,14 +422,14 @@ def _better(
     text += f" {percent(fit.left, 0)}"
     if best.reversed_joint >= 0:
         text = f"by IMU {fit.imu.name} it turns the other way round: {text}"
-        return found("axis_flipped", text, names[best.reversed_joint], "position")
+        return finding_of("axis_flipped", text, names[best.reversed_joint], "position")
     if best.link == own_link:
         return None
     text = (
         f"follows the link after {names[best.link]}, not the one after"
         f" {names[own_link]}: {text}"
     )
-    return found("imu_wrong_link", text, fit.imu.name)
+    return finding_of("imu_wrong_link", text, fit.imu.name)
 
 
 def _share_left(
@@ -457,12 +457,12 @@ def _gyro(fit: LinkFit) -> Iterator[InspectionFinding]:
     name = fit.imu.name
     text = f"reads {fit.gain:.3g} times the link's angular velocity"
     if abs(fit.gain / np.degrees(1.0) - 1.0) < 0.2:
-        yield found("gyro_in_degrees", text, name)
+        yield finding_of("gyro_in_degrees", text, name)
     elif fit.map_error < MAPPED and np.linalg.det(fit.map) < 0.0:
         text = "its gyro fits the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, name, f"{name}.g")
+        yield finding_of("imu_left_handed", text, name, f"{name}.g")
     elif abs(fit.gain - 1.0) > 0.15:
-        yield found("gyro_scale", text, name)
+        yield finding_of("gyro_scale", text, name)
 
 
 def _axes(
@@ -493,7 +493,7 @@ def _axes(
     evenness = sizes[2] / sizes[0]
     if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, imu.name)
+        yield finding_of("imu_left_handed", text, imu.name)
     elif abs(scale - 1.0) > max_scale_error and evenness > 0.9:
         text = f"reads {scale:.3g} times the link's specific force"
-        yield found("imu_gravity", text, imu.name)
+        yield finding_of("imu_gravity", text, imu.name)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
@@ -29,7 +29,7 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
             text = (
                 f"its {count} accelerometers do not determine the angular acceleration"
             )
-            yield found("imu_layout", text, imu.name)
+            yield finding_of("imu_layout", text, imu.name)
 
 
 def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
@@ -61,7 +61,9 @@ def _bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[InspectionFinding]:
     size = np.linalg.norm(bias)
     if size > data.settings.imus.max_bias:
         channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
-        yield found("gyro_bias", f"reads {size:.3g} rad/s at rest", imu.name, channel)
+        yield finding_of(
+            "gyro_bias", f"reads {size:.3g} rad/s at rest", imu.name, channel
+        )
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
@@ -102,13 +104,13 @@ def _channels(
                     continue
                 stuck = _stuck(present, least, interval_s, others_change=others_change)
                 if stuck:
-                    yield found("imu_stuck", stuck, imu.name, name)
+                    yield finding_of("imu_stuck", stuck, imu.name, name)
                     continue
                 limit_and_share = clipped(present)
                 if limit_and_share:
                     limit, share = limit_and_share
                     text = f"is at {limit:.4g} in {percent(share)} of the samples"
-                    yield found("imu_saturated", text, imu.name, name)
+                    yield finding_of("imu_saturated", text, imu.name, name)
             first[quantity] += values.shape[1]
 
 
@@ -162,7 +164,7 @@ def _force(
                 f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are"
                 " expected"
             )
-            yield found("imu_in_g", text, imu.name)
+            yield finding_of("imu_in_g", text, imu.name)
             return
 
     if not at_rest:
@@ -178,7 +180,7 @@ def _force(
         yield odd
     elif abs(norm / gravity - 1.0) > max_error:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
-        yield found("imu_gravity", text, imu.name)
+        yield finding_of("imu_gravity", text, imu.name)
 
 
 class _Change(NamedTuple):
@@ -222,7 +224,7 @@ def odd_channel(
                 f"the accelerometers disagree on gravity by {np.sqrt(error):.3g}"
                 f" m/s^2, {np.sqrt(best.left):.3g} once this is mended"
             )
-            return found(best.code, text, imu.name, ", ".join(names))
+            return finding_of(best.code, text, imu.name, ", ".join(names))
     return None
 
 

@@ -43,7 +43,7 @@ class Identified:
         (b, b) of them.
     moves : Array
         (n, b), the part of these errors that each joint's torque constant has.
-    known : Array
+    given_rotors : Array
         (n,) kg m^2, rotor inertias of the robot file.
     free : tuple of int
         Joints whose rotor inertia was identified.
@@ -57,7 +57,7 @@ class Identified:
     errors: Array
     covariance: Array
     moves: Array
-    known: Array
+    given_rotors: Array
     free: tuple[int, ...]
     whole_values: Array
 
@@ -100,7 +100,11 @@ class Identified:
 
 
 def identified(
-    stages: Stages, robot: Robot, *, more: Array | None = None, largest: float = 1e9
+    stages: Stages,
+    robot: Robot,
+    *,
+    added_by_effects: Array | None = None,
+    largest: float = 1e9,
 ) -> Identified:
     """Collect the base parameters of a file.
 
@@ -109,7 +113,7 @@ def identified(
     stages : Stages
         With gravity, with inertia, with both, or with neither.
     robot : Robot
-    more : Array, optional
+    added_by_effects : Array, optional
         (11 n,), standard parameters, rotors last, that effects add to the identified
         ones.
     largest : float
@@ -126,8 +130,8 @@ def identified(
     if rigid is not None:
         links, rotors = standard_parameters(rigid, robot.n)
         phi = np.concatenate([links.ravel(), rotors.ravel()])
-    if more is not None:
-        phi = phi + more
+    if added_by_effects is not None:
+        phi = phi + added_by_effects
 
     determined = _determined(stages, basis, robot)
     if not (np.abs(phi) < largest).all():
@@ -153,7 +157,7 @@ def identified(
         errors=np.array([parameter.std_error for parameter in determined.parameters]),
         covariance=determined.covariance,
         moves=determined.moves,
-        known=given_rotors,
+        given_rotors=given_rotors,
         free=tuple(int(j) for j in np.flatnonzero(shows & ~is_given)),
         whole_values=np.asarray(values),
     )
@@ -242,7 +246,7 @@ def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -
 
 def expected_links(
     robot: Robot,
-    kept: Array,
+    held_bodies: Array,
     E: Array,
     values: Array,
     G: Array,
@@ -254,7 +258,7 @@ def expected_links(
     Parameters
     ----------
     robot : Robot
-    kept : Array
+    held_bodies : Array
         (n, 10), parts of the bodies that stay as they are, not of the links.
     E, G : Array
         (b, 10 n) and (b, k), identified combinations of links and rotors.
@@ -271,7 +275,7 @@ def expected_links(
     guess = _guessed_links(robot.chain)
     cad = np.zeros((robot.n, 10))
     if robot.nominal is not None:
-        cad = robot.nominal - kept
+        cad = robot.nominal - held_bodies
     has_cad = cad[:, 0] > min_mass
 
     beside_cad = values - E @ np.where(has_cad[:, None], cad, 0.0).ravel()
@@ -321,7 +325,7 @@ def _masses(
     shapes: Array,
     E: Array,
     values: Array,
-    given: Mask,
+    has_cad: Mask,
     turned: Mask,
     *,
     lightest: float = 0.05,
@@ -334,7 +338,7 @@ def _masses(
         (n, 4, 4), pseudo-inertias of 1 kg.
     E, values : Array
         (b, 10 n) and (b,), identified combinations.
-    given : Mask
+    has_cad : Mask
         (n,), links whose mass CAD gives.
     turned : Mask
         (b,), values that hold a rotor of unknown inertia.
@@ -346,12 +350,12 @@ def _masses(
         for of_link, J in zip(np.split(E, len(shapes), axis=1), shapes, strict=True)
     ]
     columns = np.stack(per_kilogram, axis=1)
-    columns[:, given] = 0.0
+    columns[:, has_cad] = 0.0
 
     # A link that shows beside unknown rotors alone (the first of an arm on the floor)
     # has the mean mass of the others: the rotor may be all of it.
     hidden = np.asarray(columns.any(axis=0) & ~columns[~turned].any(axis=0))
-    if hidden.any() and not (hidden | given).all():
+    if hidden.any() and not (hidden | has_cad).all():
         columns[columns[:, hidden].any(axis=1)] = 0.0
     else:
         hidden[:] = False
@@ -363,8 +367,8 @@ def _masses(
         return np.ones(len(shapes))
 
     masses, _ = nnls(columns[rows] / size[rows, None], values[rows] / size[rows])
-    masses[hidden] = masses[~given & ~hidden].mean()
-    mean = float(masses[~given].mean()) if (~given).any() else 1.0
+    masses[hidden] = masses[~has_cad & ~hidden].mean()
+    mean = float(masses[~has_cad].mean()) if (~has_cad).any() else 1.0
     return np.maximum(masses, lightest * mean if mean > 0.0 else 1.0)
 
 
@@ -402,43 +406,43 @@ class NearestBodies:
 
 
 def nearest_bodies(
-    robot: Robot, found: Identified, kept: Array | None = None
+    robot: Robot, demand: Identified, held_bodies: Array | None = None
 ) -> NearestBodies:
     """Find bodies with the identified torque, or the nearest to it.
 
     Parameters
     ----------
     robot : Robot
-    found : Identified
-    kept : Array, optional
+    demand : Identified
+    held_bodies : Array, optional
         (n, 10), parts of the links that stay as they are. The rest must be able to
         exist by itself, and is what is returned.
 
     Raises
     ------
     QualityError
-        No physically consistent parameters are found.
+        No physically consistent parameters are demand.
     """
-    if kept is None:
-        kept = np.zeros((robot.n, 10))
+    if held_bodies is None:
+        held_bodies = np.zeros((robot.n, 10))
     first_rotor = PER_LINK * robot.n
-    free = list(found.free)
-    expression = found.basis.expression[list(found.rows)]
+    free = list(demand.free)
+    expression = demand.basis.expression[list(demand.rows)]
     E = expression[:, :first_rotor]
     G = expression[:, first_rotor:][:, free]
 
-    largest_value = np.abs(found.values).max(initial=0.0)
-    largest_error = np.abs(found.errors).max(initial=0.0)
+    largest_value = np.abs(demand.values).max(initial=0.0)
+    largest_error = np.abs(demand.errors).max(initial=0.0)
     scale = max(largest_value + largest_error, 1e-12)
-    W = whitening(found.covariance, _LEAST_ERROR * scale)
-    values = found.values - E @ kept.ravel()
-    J, from_cad = expected_links(robot, kept, E, values, G)
+    W = whitening(demand.covariance, _LEAST_ERROR * scale)
+    values = demand.values - E @ held_bodies.ravel()
+    J, from_cad = expected_links(robot, held_bodies, E, values, G)
 
     # Rotors are searched in units of their links' inertias on the motor side, kg m^2.
     link_sizes = J[:, :3, :3].trace(axis1=1, axis2=2)
     rotor_sizes = (link_sizes / gear_ratios(robot) ** 2)[free]
     consistent = consistent_links(J, rotor_sizes, E, G, values, W)
-    rotor = found.known.copy()
+    rotor = demand.given_rotors.copy()
     rotor[free] = consistent.rotors
     return NearestBodies(
         links=consistent.links,

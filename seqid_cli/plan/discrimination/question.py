@@ -130,7 +130,9 @@ class Question:
         sizes = [len(information) for information in on_friction]
         ends = belief.basis.size + np.cumsum([0, *sizes])
         scale = Goal.of(belief, 0).scale
-        on_rigid = _information(belief.root @ belief.root.T, scale**2)
+        on_rigid = _information(
+            belief.covariance_root @ belief.covariance_root.T, scale**2
+        )
         on_effects = np.zeros((n_effect_columns, n_effect_columns))
         return cls(
             joint=joint,
@@ -252,7 +254,9 @@ def products_of(belief: Belief, question: Question, scene: Scene) -> Products:
 
         if question.joint in (None, j):
             squares[np.ix_(index, index)] += X.T @ X
-        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / motion.rate_hz)
+        weight = np.sqrt(
+            belief.information_rate[j] * scene.slides[:, j] / motion.rate_hz
+        )
         weighted_X = weight[:, None] * X
         gram[np.ix_(index, index)] += weighted_X.T @ weighted_X
         moment[index] += weighted_X.T @ (weight * residual[:, j])

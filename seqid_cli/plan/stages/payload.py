@@ -106,8 +106,8 @@ def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     E = belief.basis.last_link
     theta = belief.theta + mass * E[:, 0]
     first_moments = mass * lever * E[:, 1:4]
-    root = np.hstack([belief.root, first_moments])
-    return replace(without_mass, theta=theta, root=root)
+    root = np.hstack([belief.covariance_root, first_moments])
+    return replace(without_mass, theta=theta, covariance_root=root)
 
 
 def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
@@ -144,7 +144,7 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
 
     # The noise's part of the errors, and that of the model's own parameters.
     X_D_H = np.einsum("mnjk,mnj,mnjb->kb", rows.H, rows.weights, H, optimize=True)
-    moved = C @ X_D_H @ belief.root
+    moved = C @ X_D_H @ belief.covariance_root
     std_errors = np.sqrt(np.diag(C) + np.sum(moved**2, axis=1))
 
     # Changes of friction come behind the body's parameters; they are not listed.

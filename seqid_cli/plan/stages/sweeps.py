@@ -66,7 +66,7 @@ def plan_friction(
 
         # The last two strokes are those at the fastest speed.
         seconds = strokes.seconds_of(move.strokes[-2:])
-        errors[name] = float(1.0 / np.sqrt(belief.density[j] * seconds))
+        errors[name] = float(1.0 / np.sqrt(belief.information_rate[j] * seconds))
     return Planned(moves, PlannedStage(torque_error=errors))
 
 

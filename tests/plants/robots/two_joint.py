@@ -60,4 +60,10 @@ def torque_model(robot: Robot, seed: int = 5) -> TorqueModel:
     rng = np.random.default_rng(seed)
     phi = np.array([random_inertia(rng).toDynamicParameters() for _ in range(robot.n)])
     surfaces = [friction_surface(c, v) for c, v in zip(COULOMB, VISCOUS, strict=True)]
-    return TorqueModel(robot, surfaces, phi, np.array(ROTOR), "diagonal")
+    return TorqueModel(
+        robot=robot,
+        surfaces=surfaces,
+        phi=phi,
+        rotor=np.array(ROTOR),
+        coupling="diagonal",
+    )

@@ -8,7 +8,7 @@ from seqid_cli.commands.robot_file import found_robot, found_robot_if_any
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.errors import UsageError
 
-SCREEN = Screen("friction")
+SCREEN = Screen(command="friction")
 
 
 @pytest.fixture

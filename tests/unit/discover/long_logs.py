@@ -59,7 +59,7 @@ class LongCase:
         return path
 
     def pieces(self, path: Path, *, places: bool = True) -> Excerpts:
-        logs = LogSet([self.written(path)], self.robot)
+        logs = LogSet(logs=[self.written(path)], robot=self.robot)
         how = {
             "options": DiscoverOptions().motion,
             "most_values": MOST,

@@ -125,7 +125,7 @@ def test_what_stands_out_is_a_setting_in_worker_processes_too(folder: Path) -> N
         settings: EventSettings, executor: Executor | None
     ) -> tuple[Interval, ...]:
         (survey,) = take_excerpts(
-            LogSet([path], case.robot, executor=executor),
+            LogSet(logs=[path], robot=case.robot, executor=executor),
             case.robot,
             case.stages,
             options=OPTIONS.motion,

@@ -41,7 +41,7 @@ def diagnosed(
     given = [read_recording(folder / x, robot) for x in logs]
     given = given if load else [replace(log, load=None) for log in given]
     friction, inertia = identify_simultaneous(given, robot, options=motion, offset=True)
-    options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
+    options = DiscoverOptions(InertiaOptions(motion=motion), max_effects=most)
     return diagnose(
         given, robot, Stages(friction=friction, inertia=inertia), options=options
     )

@@ -74,7 +74,13 @@ def with_effect(
 ) -> Arm:
     """The six-joint sample robot with one effect more."""
     robot, stages = sample("six_joint")
-    item = FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c)))
+    item = FittedEffect(
+        effect=CATALOGUE[name],
+        joint=joint,
+        settings=settings,
+        coefficients=np.array(c),
+        covariance=np.eye(len(c)),
+    )
     stages.effects = [as_stage(item, robot)]
     return robot, stages
 

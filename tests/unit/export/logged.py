@@ -67,7 +67,13 @@ def logged(
     stages.inertia.rmse = dict.fromkeys(robot.joint_names, NOISE)
     stages.effects = [
         as_stage(
-            FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c))),
+            FittedEffect(
+                effect=CATALOGUE[name],
+                joint=joint,
+                settings=settings,
+                coefficients=np.array(c),
+                covariance=np.eye(len(c)),
+            ),
             robot,
         )
         for name, joint, settings, c in effects

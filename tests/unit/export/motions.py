@@ -71,7 +71,11 @@ def fitted(effect: Effect, one: Case) -> FittedEffect:
     """Return an effect with the numbers of a case."""
     c = np.array(one.coefficients, dtype=float)
     return FittedEffect(
-        effect, one.joint, dict(one.settings), c, 1e-12 * np.eye(len(c))
+        effect=effect,
+        joint=one.joint,
+        settings=dict(one.settings),
+        coefficients=c,
+        covariance=1e-12 * np.eye(len(c)),
     )
 
 

@@ -237,7 +237,9 @@ def test_smooth_terms_of_no_known_cause_are_written_out(
     axes, factor = SMOOTH[name]
     size = int(np.prod([axis.size for axis in axes]))
     c = np.random.default_rng(4).normal(size=size)
-    item = SmoothTerm(1, ("position",), axes, factor, c)
+    item = SmoothTerm(
+        joint=1, quantities=("position",), axes=axes, factor=factor, coefficients=c
+    )
     assert plain.missed([item]) < 1e-9
     plain.check_both_forms([item])
 
@@ -371,7 +373,13 @@ def test_an_effect_without_a_law_is_refused_by_its_name(
 ) -> None:
     monkeypatch.setattr(registry, "own_effect", lambda asked, robot: kind())
     robot = replace(plain.robot, effects=(OwnEffect("mine"),))
-    item = FittedEffect(kind(), 1, {}, np.ones(1), np.eye(1))
+    item = FittedEffect(
+        effect=kind(),
+        joint=1,
+        settings={},
+        coefficients=np.ones(1),
+        covariance=np.eye(1),
+    )
     stages = with_effects(plain.stages, robot, [item])
     with pytest.raises(ConfigError, match=r"'mine' \(joint_2\)") as caught:
         export(robot, stages, kind=form)

@@ -169,7 +169,13 @@ def test_a_payload_is_part_of_the_last_link() -> None:
     robot, rng = sample_robot("two_joint"), np.random.default_rng(6)
     phi, load = random_bodies(rng, 2), random_bodies(rng, 1)[0]
     stages = stages_of(robot, phi)
-    item = FittedEffect(CATALOGUE["payload"], None, {"from_log": 0.0}, load, np.eye(10))
+    item = FittedEffect(
+        effect=CATALOGUE["payload"],
+        joint=None,
+        settings={"from_log": 0.0},
+        coefficients=load,
+        covariance=np.eye(10),
+    )
     stages.effects = [as_stage(item, robot)]
     model = export(robot, stages, kind="MJCF").model
     assert any(

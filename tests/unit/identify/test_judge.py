@@ -9,7 +9,7 @@ from seqid_cli.identify.judging import as_a_whole, verdicts_by_earlier
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.rigid.gravity_checks import gravity_verdicts
 from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from tests.plants.robots.sample import Rig
 
@@ -71,16 +71,18 @@ def test_a_rotor_of_negative_inertia_is_poor(
 
 
 def test_errors_of_logs_are_verdicts_and_warnings_are_notes(one_joint: Rig) -> None:
-    error = found(
+    error = finding_of(
         "joints_swapped", "the torque of a is b's", joint="a, b", channel="torque"
     )
-    warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")
+    warning = finding_of(
+        "torque_saturated", "is at 5 in 3 %", joint="a", channel="current"
+    )
     seen = [
         replace(finding, log=name)
         for finding in (error, warning)
         for name in ("x", "y", "z")
     ]
-    logs = LogSet([], one_joint.robot, findings=seen)
+    logs = LogSet(logs=[], robot=one_joint.robot, findings=seen)
     verdicts = logs.verdicts()
     assert poor(verdicts) == ["a", "b"]
     assert verdicts[0].reason.startswith(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.planned import compared
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
@@ -159,7 +159,7 @@ def test_spoiled_moves_say_why() -> None:
     with_gap = replace(log, valid=(log.t < 2.0) | (log.t > 3.0))
     displacement = (log.q - log.q[0]) * np.array([1.0, 0.7])
     too_small = replace(log, q=log.q[0] + displacement)
-    fault = found("position_spikes", "bad")
+    fault = finding_of("position_spikes", "bad")
     cases = [
         (Screened(log_of(move, scale=0.5), ()), "at 0.5 of the planned speed"),
         (Screened(half, ()), "of it is in the log"),

@@ -155,7 +155,7 @@ def test_an_unknown_offset_bounds_what_a_plan_promises(belief: Belief) -> None:
     """However little noise there is, offset and asymmetry are not told from gravity for
     ever.
     """
-    quiet = replace(belief, density=1e8 * belief.density)
+    quiet = replace(belief, information_rate=1e8 * belief.information_rate)
     without = replace(quiet, friction=np.zeros(belief.robot.n))
     with_offset, by_noise_alone = (
         plan_gravity(one, Stages(), OPTIONS, per_joint=FEWER).gravity.stage

@@ -47,10 +47,10 @@ def test_information_is_that_of_the_regressor(
     H = base_regressor(
         belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0]
     )
-    slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
+    slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow_speed**2)
     step_s = moves.t[1] - moves.t[0]
     expected = np.zeros((belief.basis.size, belief.basis.size))
-    for j, density in enumerate(belief.density):
+    for j, density in enumerate(belief.information_rate):
         rows = H[:, j]
         weighted = density * step_s * slide[:, j, None] * rows
         expected += rows.T @ weighted

@@ -24,7 +24,7 @@ def torque_has_room(settings: MarginSettings, sigma: float) -> bool:
         robot=sample_robot("one_joint"),
         theta=np.zeros(1),
         surfaces=[None],
-        root=np.eye(1),
+        covariance_root=np.eye(1),
         margins=settings,
     )
     return planned_torque(belief) > sigma

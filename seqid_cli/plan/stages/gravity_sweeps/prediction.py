@@ -116,7 +116,7 @@ def _rows(
     # Information of one way of a sweep: by what friction's surface leaves of it, else
     # by the noise.
     seconds = np.diff(steady)[:, 0] / speed
-    by_noise = belief.density[joint] * seconds
+    by_noise = belief.information_rate[joint] * seconds
     left_by_surface = belief.sweep_variance[joint]
     information_of_way = np.where(
         left_by_surface > 0.0, 1.0 / np.maximum(left_by_surface, 1e-300), by_noise

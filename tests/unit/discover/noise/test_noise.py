@@ -275,7 +275,7 @@ def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(
         (larger, "of the inertia stage", 4.0 * own),
     ):
         options = InertiaOptions(
-            MotionOptions(4.0 * own, origin=origin), source="needed"
+            motion=MotionOptions(4.0 * own, origin=origin), source="needed"
         )
         options = with_own_cutoffs([given], robot, stages, options)
         (scene,) = scenes_of([given], robot, stages, options=options)

@@ -84,9 +84,9 @@ def sized(effect: Candidate, size: float) -> float:
     """Return the size that a round sees of an effect: coefficients over errors."""
     count = effect.size
     fitted = FittedEffect(
-        effect.effect,
-        effect.joint,
-        effect.settings,
+        effect=effect.effect,
+        joint=effect.joint,
+        settings=effect.settings,
         coefficients=np.full(count, size * 0.2),
         covariance=0.04 * np.eye(count),
     )

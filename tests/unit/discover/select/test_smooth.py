@@ -77,7 +77,11 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     what, c = found.terms[0].term.what, found.terms[0].scored.fit.coefficients
     scene = found.model.ground.stage.scenes[0]
     term = SmoothTerm(
-        what.joint, what.quantities, what.axes, what.factor, what.mixing @ c
+        joint=what.joint,
+        quantities=what.quantities,
+        axes=what.axes,
+        factor=what.factor,
+        coefficients=what.mixing @ c,
     )
     torque, inside = term.torques(scene)[1], np.abs(scene.motion.q[:, 1]) < 0.9
     assert np.corrcoef(torque[inside], bump(scene)[inside])[0, 1] > 0.95

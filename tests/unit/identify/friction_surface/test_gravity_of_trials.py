@@ -39,9 +39,19 @@ def trial(
 ) -> Trial:
     places = np.tile(configuration, (len(q), 1))
     places[:, joint] = q
-    motion = (joint, velocity, q, np.full(len(q), velocity), np.zeros(len(q)), tau)
     return Trial(
-        *motion, Ramps(), 20.0, configuration, places, np.arange(len(q)) * 0.01, 0.01
+        joint=joint,
+        velocity=velocity,
+        q=q,
+        dq=np.full(len(q), velocity),
+        ddq=np.zeros(len(q)),
+        tau=tau,
+        ramps=Ramps(),
+        weight=20.0,
+        configuration=configuration,
+        places=places,
+        t=np.arange(len(q)) * 0.01,
+        seconds=0.01,
     )
 
 

@@ -26,11 +26,11 @@ HOME = np.array([0.4, 0.0])
 INERTIA, COULOMB, VISCOUS = 0.8, 2.0, 0.5
 LINEAR = np.array([[COULOMB + 1.1 * VISCOUS, 0.9 * VISCOUS]])
 SURFACE = FrictionSurface(
-    Scaling((-1.6, 1.6), (0.2, 2.0)),
-    0.01,
-    LINEAR,
-    LINEAR,
-    np.zeros((2, 2)),
+    scaling=Scaling((-1.6, 1.6), (0.2, 2.0)),
+    sign_width=0.01,
+    positive=LINEAR,
+    negative=LINEAR,
+    entry_covariance=np.zeros((2, 2)),
     directional=False,
 )
 

@@ -84,7 +84,10 @@ def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]
         TorqueModel.from_stages(stages, robot),
         fitted_effects(stages, robot),
     )
-    return Predictor(model, stages, OPTIONS, effects)(open_long(path, robot), 0)
+    predictor = Predictor(
+        model=model, stages=stages, options=OPTIONS, effects=effects
+    )
+    return predictor(open_long(path, robot), 0)
 
 
 def held_of(path: Path, robot: Robot, stages: Stages) -> LogPrediction:
@@ -117,7 +120,14 @@ def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
             # errors.
             values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
             found.append(
-                FittedEffect(effect, joint, settings, values, np.eye(count), session)
+                FittedEffect(
+                    effect=effect,
+                    joint=joint,
+                    settings=settings,
+                    coefficients=values,
+                    covariance=np.eye(count),
+                    session=session,
+                )
             )
     return [each for each in found if each.local]
 

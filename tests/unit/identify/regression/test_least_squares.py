@@ -39,7 +39,7 @@ def test_the_solution_is_that_of_the_stacked_weighted_rows(*, known: bool) -> No
         of(rng.standard_normal(shape) * SCALES, THETA, noise, rng) for noise in NOISES
     ]
     A = rng.standard_normal((3, P)) / SCALES * 4
-    prior = Prior(A, A @ THETA + rng.standard_normal(3))
+    prior = Prior(A=A, b=A @ THETA + rng.standard_normal(3))
     given = prior if known else None
     got = solve([accumulated(*j, rows=10) for j in joints], prior=given, iterations=20)
     rows = [
@@ -123,7 +123,9 @@ def test_a_prior_alone_keeps_its_covariance() -> None:
     rows = rows_of(B @ B.T)
     H = np.hstack([rng.standard_normal((600, 3)), np.zeros((600, 2))])
     joint = accumulated(*of(H, np.arange(1.0, 6.0), 0.1, rng), rows=20)
-    got = solve([joint], prior=Prior(np.hstack([np.zeros((2, 3)), rows]), rows @ value))
+    got = solve(
+        [joint], prior=Prior(A=np.hstack([np.zeros((2, 3)), rows]), b=rows @ value)
+    )
     np.testing.assert_allclose(got.theta[3:], value, atol=1e-9)
     np.testing.assert_allclose(got.covariance[3:, 3:], B @ B.T, rtol=0.1)
 
@@ -132,7 +134,7 @@ def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:
     """Every row four times, a quarter of them independent: nothing changes."""
     rng = np.random.default_rng(12)
     H, y = rng.normal(size=(400, 3)), rng.normal(size=400)
-    prior = Prior(np.diag([30.0, 0.0, 0.0]), np.array([15.0, 0.0, 0.0]))
+    prior = Prior(A=np.diag([30.0, 0.0, 0.0]), b=np.array([15.0, 0.0, 0.0]))
     often = accumulated(np.repeat(H, 4, axis=0), np.repeat(y, 4), rows=160)
     expected = solve([accumulated(H, y)], prior=prior, iterations=8)
     found = solve([often], prior=prior, iterations=8, independent=0.25)

@@ -26,7 +26,12 @@ NOISE = 0.0005  # N m, of a slice
 def surface_of(positive: Array, negative: Array, covariance: Array) -> FrictionSurface:
     scaling = Scaling((-2.5, 2.5), (0.4, 8.0))
     return FrictionSurface(
-        scaling, 0.04, positive, negative, covariance, directional=True
+        scaling=scaling,
+        sign_width=0.04,
+        positive=positive,
+        negative=negative,
+        entry_covariance=covariance,
+        directional=True,
     )
 
 
@@ -45,8 +50,21 @@ def trials(rng: np.random.Generator) -> list[Trial]:
         # The axis leans by 30 degrees about x: gravity's part across it lies along -y.
         tau = lever * np.cos(q) + true.torque(q, v) + NOISE * rng.standard_normal(64)
         t = 10.0 * len(result) + np.arange(64) * 0.02
-        motion = (0, direction * speed, q, v, still, tau)
-        result.append(Trial(*motion, Ramps(), 20.0, np.zeros(1), q[:, None], t, 0.02))
+        trial = Trial(
+            joint=0,
+            velocity=direction * speed,
+            q=q,
+            dq=v,
+            ddq=still,
+            tau=tau,
+            ramps=Ramps(),
+            weight=20.0,
+            configuration=np.zeros(1),
+            places=q[:, None],
+            t=t,
+            seconds=0.02,
+        )
+        result.append(trial)
     return result
 
 
@@ -56,7 +74,7 @@ def drive_prior(surface: FrictionSurface) -> Prior:
     """
     # No temperature is logged: what friction has per kelvin is any number, and is zero.
     weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
-    return Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))
+    return Prior(A=np.pad(np.diag(weights), ((0, 0), (2, 0))), b=np.zeros(len(weights)))
 
 
 @cache

@@ -519,3 +519,8 @@ def friction_torque(
         if law is not None:
             torque[:, j] = law.torque(q[:, j], dq[:, j])
     return torque
+
+
+def slowest_speeds(surfaces: Sequence[FrictionSurface | None]) -> Array:
+    """Return speeds (n,) rad/s below which the sign of friction is uncertain."""
+    return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])

@@ -20,10 +20,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
-from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import FrictionSurface, friction_torque
+from seqid_cli.model.friction import (
+    FrictionSurface,
+    friction_torque,
+    slowest_speeds,
+)
 from seqid_cli.model.torque import friction_surfaces, known_rotors, standard_parameters
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.planned import COEFFICIENTS, Shapes

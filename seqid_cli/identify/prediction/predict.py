@@ -18,12 +18,12 @@ from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.noise_level import PASSED
-from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.model.friction import slowest_speeds
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short

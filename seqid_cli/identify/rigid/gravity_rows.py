@@ -33,11 +33,11 @@ from seqid_cli.identify.nuisances import (
     FrictionChange,
     change_of,
     even_columns,
-    even_prior,
     thermal_column,
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
+from seqid_cli.identify.rigid.nuisance_priors import even_prior
 from seqid_cli.identify.rigid.posterior import Sensitivity
 from seqid_cli.identify.settings import GravityFitSettings, GravitySettings
 from seqid_cli.identify.tolerances import deviation_torques, deviations

@@ -38,9 +38,9 @@ from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import (
     InertiaEquations,
-    InertiaRows,
     tolerance_moves,
 )
+from seqid_cli.identify.rigid.inertia_rows import InertiaRows
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide

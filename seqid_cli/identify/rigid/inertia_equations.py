@@ -10,45 +10,35 @@ anywhere within its stiction.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from seqid_cli.identify.bands.rows import BandRowsCollector
-from seqid_cli.identify.nuisances import (
-    FrictionChange,
-    NuisanceColumns,
-    change_of,
-    even_surfaces,
-    later_prior,
-)
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import CHUNK
 from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
-    Accumulator,
     Prior,
     Solution,
     solve,
 )
-from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
+from seqid_cli.identify.regression.noise_level import noise_of_log
+from seqid_cli.identify.rigid.drive_columns import DriveColumns, Drives
+from seqid_cli.identify.rigid.inertia_rows import InertiaRows, States
+from seqid_cli.identify.rigid.nuisance_priors import NuisanceColumns, later_prior
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import SLIDES, FrictionFamily, FrictionSurface
-from seqid_cli.model.torque import (
-    friction_surfaces,
-    known_rotors,
-    sampled_families,
-    sliding,
-)
+from seqid_cli.model.friction import slowest_speeds
+from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
 from seqid_cli.motion.blocks import motion_blocks, overlapping
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
-from seqid_cli.params.schema import MotionUse, Stages
+from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis, gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
@@ -64,110 +54,6 @@ REMEMBERED = 0.8
 # Rounds of weighing joints by what is left of them: weights settle to 1e-3 standard
 # errors.
 ROUNDS = 6
-
-
-@dataclass(frozen=True)
-class States:
-    """Some states (S, n) of a log [rad, rad/s, rad/s^2].
-
-    `used` says at which joints rows were used.
-    """
-
-    q: Array
-    dq: Array
-    ddq: Array
-    used: Mask
-
-
-@dataclass(kw_only=True)
-class InertiaRows:
-    """The equations of some logs, reduced.
-
-    `joints` are the factors of each joint's rows, `torque_squares` (n,) sums of its
-    squared torque [(N m)^2], `cross` the products (p, c) of its rows with the columns
-    of friction's errors, `sample_counts` (2,) the samples that count as independent,
-    and all. `noise` is of the logs that are held, `states` are some of each log's.
-    """
-
-    joints: list[Accumulator]
-    torque_squares: Array
-    sample_counts: Array
-    cross: dict[int, Array] = field(default_factory=dict)
-    uses: list[MotionUse] = field(default_factory=list)
-    noise: list[LogNoise] = field(default_factory=list)
-    states: list[States] = field(default_factory=list)
-    band_rows: BandRowsCollector = field(default_factory=BandRowsCollector)
-
-    @classmethod
-    def empty(cls, joints: int, unknowns: int) -> "InertiaRows":
-        """Return the rows of no log, for so many joints and unknowns."""
-        return cls(
-            joints=[Accumulator(unknowns) for _ in range(joints)],
-            torque_squares=np.zeros(joints),
-            sample_counts=np.zeros(2),
-        )
-
-    def __add__(self, other: "InertiaRows") -> "InertiaRows":
-        nothing = np.zeros(())
-        cross = {
-            j: self.cross.get(j, nothing) + other.cross.get(j, nothing)
-            for j in self.cross | other.cross
-        }
-        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
-        return InertiaRows(
-            joints=joints,
-            torque_squares=self.torque_squares + other.torque_squares,
-            sample_counts=self.sample_counts + other.sample_counts,
-            cross=cross,
-            uses=self.uses + other.uses,
-            noise=self.noise + other.noise,
-            states=self.states + other.states,
-            band_rows=self.band_rows + other.band_rows,
-        )
-
-    @property
-    def independent(self) -> float:
-        """Share of the samples that counts as independent."""
-        independent, samples = self.sample_counts
-        return float(independent / max(samples, 1.0))
-
-
-# Members of a joint's family of friction surfaces.
-FRICTION = 0
-PER_DELAY = 1
-DRY_SIZE = 2
-VISCOUS_SIZE = 3
-PER_KELVIN = 4
-FAMILY_SIZE = 5
-
-
-@dataclass(frozen=True, kw_only=True)
-class DriveColumns:
-    """What the drives add to the torques of n joints, filtered alike, all (N, n).
-
-    `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the
-    part of it by which friction was identified differently; `dry_size` and
-    `viscous_size` [N m] are per asymmetry of either part of friction, `per_kelvin` [N m
-    K] is per friction's change per kelvin. `friction` [N m] is that of the surfaces.
-    """
-
-    friction: Array
-    delay: Array
-    friction_per_second: Array
-    dry_size: Array
-    viscous_size: Array
-    per_kelvin: Array
-
-    def part(self, where: slice) -> "DriveColumns":
-        """Return the columns of some samples."""
-        return DriveColumns(
-            friction=self.friction[where],
-            delay=self.delay[where],
-            friction_per_second=self.friction_per_second[where],
-            dry_size=self.dry_size[where],
-            viscous_size=self.viscous_size[where],
-            per_kelvin=self.per_kelvin[where],
-        )
 
 
 class InertiaEquations:
@@ -199,14 +85,7 @@ class InertiaEquations:
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
         self.reflected = gear_ratios(robot) ** 2 * self.rotors
-        self._delays = [self._change_of(name, "delay") for name in robot.joint_names]
-        thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
-        self._families = [
-            None if surface is None else _family(surface, delay, warm)
-            for surface, delay, warm in zip(
-                self.surfaces, self._delays, thermal, strict=True
-            )
-        ]
+        self.drives = Drives(robot, stages, self.surfaces)
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
     def rows_of(self, log: Recording | LongLog) -> InertiaRows:
@@ -236,7 +115,7 @@ class InertiaEquations:
         # regressor.
         held = motions.samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(motions.parts, held, 2 * reach):
-            drive = self.drive_columns(motion)
+            drive = self.drives.columns(motion)
             y = self._right_side(motion, drive)
             for part, H in equations.filtered_regressor(
                 motion,
@@ -325,43 +204,11 @@ class InertiaEquations:
         Friction is that of no delay: the delay's column has the whole of it.
         """
         assert motion.tau is not None
-        values = [0.0 if delay is None else delay.value for delay in self._delays]
-        by_delay = drive.friction_per_second * np.array(values)
+        by_delay = drive.friction_per_second * self.drives.delays_of_friction
         torque = np.asarray(motion.tau - drive.friction + by_delay)
         if self.rotors.any():
             torque -= motion.filtered(self.reflected * motion.ddq)
         return torque
-
-    def _change_of(self, name: str, term: str) -> FrictionChange | None:
-        """Return a term of a joint's friction, and how friction goes with it."""
-        friction = self.stages.friction
-        joint = friction.joints.get(name) if friction else None
-        return None if joint is None else change_of(joint, term)
-
-    def drive_columns(self, motion: Motion) -> DriveColumns:
-        """Return what friction, delay and asymmetry of each drive add to its torque."""
-        assert motion.tau is not None
-        sampled = sampled_families(self._families, motion, size=FAMILY_SIZE)
-        filtered = motion.filtered(sampled, times=2)
-        torque_rate = np.gradient(motion.tau, axis=0) * motion.rate_hz
-        return DriveColumns(
-            friction=filtered[..., FRICTION],
-            delay=filtered[..., PER_DELAY] - torque_rate,
-            friction_per_second=filtered[..., PER_DELAY],
-            dry_size=filtered[..., DRY_SIZE],
-            viscous_size=filtered[..., VISCOUS_SIZE],
-            per_kelvin=self._per_kelvin(motion, filtered),
-        )
-
-    def _per_kelvin(self, motion: Motion, filtered: Array) -> Array:
-        """Return the torque (N, n) N m of one unit of friction's change per kelvin."""
-        kelvin = np.zeros_like(motion.q)
-        if motion.celsius is None:
-            return kelvin
-        for j, surface in enumerate(self.surfaces):
-            if surface is not None:
-                kelvin[:, j] = surface.kelvin(motion.celsius[:, j])
-        return np.asarray(filtered[..., PER_KELVIN] + kelvin * filtered[..., FRICTION])
 
     def _joined(self, rigid: Array, drive: DriveColumns) -> Array:
         """Return all columns (N, n, p) from those of the rigid body (N, n, b + 1)."""
@@ -536,28 +383,6 @@ class LogMotions:
     samples: int  # of all parts
 
 
-def _family(
-    surface: FrictionSurface,
-    delay: FrictionChange | None,
-    thermal: FrictionChange | None,
-) -> FrictionFamily:
-    """Return a joint's friction and what it changes by, in the order of the members.
-
-    A term that friction was not identified with changes nothing.
-    """
-    nothing = surface.of_size(np.zeros_like(surface.positive))
-    dry_size, viscous_size = even_surfaces(surface)
-    return FrictionFamily(
-        (
-            surface,
-            nothing if delay is None else delay.per_unit,
-            dry_size,
-            viscous_size,
-            nothing if thermal is None else thermal.per_unit,
-        )
-    )
-
-
 def _block_samples(rate_hz: float, samples: int) -> float:
     """Return the samples of a second; of longer where blocks would be merged anyway."""
     block = rate_hz
@@ -612,8 +437,3 @@ def tolerance_moves(
             right += prior.A[:, :size].T @ prior.tolerances[name]
         moves[name] = solution.bread @ right
     return moves
-
-
-def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
-    """Return speeds (n,) rad/s below which the sign of friction is uncertain."""
-    return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
+from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
+from seqid_cli.identify.rigid.inertia_rows import InertiaRows
 from seqid_cli.identify.settings import RotorSettings
 from seqid_cli.typing import Array
 

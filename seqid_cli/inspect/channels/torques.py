@@ -13,7 +13,7 @@ from seqid_cli.inspect.channels.values import (
     missing,
 )
 from seqid_cli.inspect.dynamics.echo import WARNING, echoes
-from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
+from seqid_cli.inspect.dynamics.weights import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import ChannelSettings

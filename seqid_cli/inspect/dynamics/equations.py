@@ -3,14 +3,12 @@
 Two comparisons. The structural one needs no inertial parameters: all joints share one
 set of base parameters (gravity and inertia), so a joint whose axis, zero or place is
 another one spoils the fit, and mending it restores the fit. The nominal one needs a
-URDF with inertials: the measured torque is split into s times its gravity torque,
-inertia and friction; s is near one where torque is torque. Each cause of a misfit is
-the change to log or robot that undoes it.
+URDF with inertials, by which the torque of a joint that carries weight has a size
+(`weights`). Each cause of a misfit is the change to log or robot that undoes it.
 """
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +16,11 @@ from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, zero_off
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
+from seqid_cli.inspect.dynamics.weights import weight_findings, wrong_weights
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_regressor
-from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Mask
@@ -30,7 +28,6 @@ from seqid_cli.typing import Mask
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 # Ratio of errors of all equations that a zero changes, and a centre of mass not.
 CLEARLY = 1.02
-HEAVY = 1e-3  # N m
 # How a finding of the mounting reads where one direction alone fits.
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
 Measure = Callable[[Sample], float]
@@ -392,24 +389,17 @@ def _structural_error(sample: Sample) -> float:
     return float(np.sqrt(np.mean(fit.residual**2)))
 
 
-@lru_cache(maxsize=1)
-def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
-    """Return the largest gravity torque (n,) N m by the URDF's inertials; else 0.
-
-    It is over so many postures, spread evenly.
-    """
-    if robot.nominal is None:
-        return np.zeros(robot.n)
-    # Powers of this root step through all angles evenly.
-    root = 2.0 ** (1.0 / (robot.n + 1))
-    turns = np.outer(np.arange(postures), root ** -np.arange(1, robot.n + 1)) % 1.0
-    is_prismatic = np.array([joint.prismatic for joint in robot.joints])
-    q = np.where(is_prismatic, turns - 0.5, 2.0 * np.pi * turns)
-    still = np.zeros_like(q)
-    torque = inverse_dynamics(
-        robot.chain, robot.gravity, robot.nominal, q, still, still
-    )
-    return np.asarray(np.abs(torque).max(axis=0))
+def _scale(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+    """Judge the size of the torque at the joints that carry weight."""
+    wrong = wrong_weights(sample)
+    if not wrong:
+        return
+    causes = [*causes_of(data, sample)]
+    mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
+    if mended:
+        yield mended
+        return
+    yield from weight_findings(data, wrong)
 
 
 def _nominal_error(sample: Sample) -> float:
@@ -427,101 +417,3 @@ def _nominal_error(sample: Sample) -> float:
         variance = max(float(sample.tau[rows, j].var()), 1e-300)
         shares.append(np.mean(residual**2) / variance)
     return float(np.sqrt(np.mean(shares))) if shares else 0.0
-
-
-class _Weight(NamedTuple):
-    """Torque of a joint over its gravity torque by the URDF's inertials."""
-
-    joint: int
-    ratio: float
-    std_error: float
-
-
-def _weights(
-    sample: Sample, *, min_load: float = 0.2, min_acting: float = 0.1
-) -> Iterator[_Weight]:
-    """Yield the weight of each joint that carries a fair share of the arm.
-
-    A small weight of another joint passes for it. It is `min_load` of the most in the
-    log, and `min_acting` of the joint's most in any posture.
-    """
-    robot = sample.robot
-    if robot.nominal is None or not robot.gravity.any():
-        return
-    gravity, inertia = sample.nominal()
-    variation = gravity.std(axis=0)
-    largest = largest_gravity(robot)
-    friction = sample.friction_columns()
-    for j in sample.moving:
-        # Forces and torques are not to be compared.
-        is_prismatic = robot.joints[j].prismatic
-        of_kind = [
-            i for i in sample.moving if robot.joints[i].prismatic == is_prismatic
-        ]
-        most_in_log = max(float(variation[of_kind].max()), HEAVY)
-        if variation[j] < max(min_load * most_in_log, min_acting * largest[j]):
-            continue
-        X = np.column_stack([gravity[:, j], inertia[:, j], friction[:, j]])
-        fit = scaled_fit(X, sample.tau[:, j])
-        variance = float(np.mean(fit.residual**2)) * sample.memory
-        of_gravity = fit.inverse[0]
-        std_error = float(np.sqrt(variance * (of_gravity @ of_gravity)))
-        yield _Weight(joint=j, ratio=float(fit.theta[0]), std_error=std_error)
-
-
-def _scale(
-    data: LogData,
-    sample: Sample,
-    *,
-    sigmas: float = 3.0,  # from a ratio to its limits
-    # of the expected gravity torque, in the opposite direction
-    min_opposite: float = 0.25,
-    # ratios to the expected gravity torque, beyond which a torque is off
-    small: float = 0.25,
-    large: float = 4.0,
-) -> Iterator[InspectionFinding]:
-    """Judge the size of the torque at the joints that carry weight."""
-    wrong = []
-    for weight in _weights(sample):
-        low = weight.ratio - sigmas * weight.std_error
-        high = weight.ratio + sigmas * weight.std_error
-        if high < small or max(low, -high) > large:
-            wrong.append(weight)
-    if not wrong:
-        return
-    causes = [*causes_of(data, sample)]
-    mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
-    if mended:
-        yield mended
-        return
-
-    effort = data.effort()
-    quantity = "torque" if effort is None else effort[0]
-    for weight in wrong:
-        joint = data.robot.joints[weight.joint]
-        is_opposite = weight.ratio + sigmas * weight.std_error < -min_opposite
-        text = (
-            f"the torque is {weight.ratio:.3g} +- {weight.std_error:.1g} of the"
-            " expected gravity torque"
-        )
-        code = "axis_flipped"
-        if not is_opposite:
-            torque_per_ampere = abs(joint.torque_per_ampere or 0.0)
-            code = _scale_code(quantity, abs(weight.ratio), torque_per_ampere)
-        yield finding_of(code, text, joint.name, quantity)
-
-
-def _scale_code(quantity: str, ratio: float, torque_per_ampere: float) -> str:
-    """Return the code that explains a torque of `ratio` times the expected one.
-
-    The drive makes `torque_per_ampere`; 0 where it is not known.
-    """
-    if quantity == "current":
-        in_amperes = ratio / torque_per_ampere if torque_per_ampere else 0.0
-        if 300.0 < ratio < 3000.0:
-            return "current_in_ma"
-        if 0.4 < in_amperes < 2.5:
-            return "effort_is_torque"
-    if quantity == "torque" and 0.4 < ratio * torque_per_ampere < 2.5:
-        return "effort_is_current"
-    return "torque_scale"

@@ -84,9 +84,7 @@ def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]
         TorqueModel.from_stages(stages, robot),
         fitted_effects(stages, robot),
     )
-    predictor = Predictor(
-        model=model, stages=stages, options=OPTIONS, effects=effects
-    )
+    predictor = Predictor(model=model, stages=stages, options=OPTIONS, effects=effects)
     return predictor(open_long(path, robot), 0)
 
 

@@ -38,23 +38,20 @@ class PayloadFit:
     phi: Array
     # (10, 10) covariance of these, with all errors.
     covariance: Array
+    # (10,) standard errors of these.
+    std_errors: Array
     # (10,) whether the logs alone determine a parameter.
     determined: Mask
     # (n,) RMS error of the predicted torque without the body.
     rmse_without: Array
     # (n,) the same with the body.
     rmse_with: Array
-    # (n,) RMS of the measured torque.
-    torque_rms: Array
+    # RMS error with the body over that of the torque, of joints that slide.
+    shares_left: dict[int, float]
     # (n,) number of samples at which a joint slides.
     n_samples: Array
     # (n,) share by which friction differs from the model's.
     friction_change: Array
-
-    @property
-    def std_errors(self) -> Array:
-        """Standard errors (10,) of the standard parameters."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
 def fit_payload(
@@ -132,14 +129,19 @@ def fit_payload(
         for equations in rows.joints
     ]
     n_samples = np.maximum(unloaded_rows.n_samples, 1)
-    covariance = _covariance(rows, solution, stages, robot)
+    torque_rms = np.sqrt(unloaded_rows.squared_torque / n_samples)
+    covariance = _covariance(rows, solution, stages, robot)[:PER_LINK, :PER_LINK]
     return PayloadFit(
         phi=phi,
-        covariance=covariance[:PER_LINK, :PER_LINK],
+        covariance=covariance,
+        std_errors=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
         determined=solution.determined[:PER_LINK],
         rmse_without=np.sqrt(unloaded_rows.squared_error / n_samples),
         rmse_with=np.array(rmse_with),
-        torque_rms=np.sqrt(unloaded_rows.squared_torque / n_samples),
+        shares_left={
+            j: rmse_with[j] / max(float(torque_rms[j]), 1e-300)
+            for j in np.flatnonzero(unloaded_rows.n_samples).tolist()
+        },
         n_samples=unloaded_rows.n_samples,
         friction_change=solution.theta[PER_LINK::FRICTION_TERMS],
     )

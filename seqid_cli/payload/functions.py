@@ -48,6 +48,7 @@ def payload(
     from seqid_cli.payload.body import carried_body
     from seqid_cli.payload.fit import fit_payload
     from seqid_cli.payload.result import payload_file
+    from seqid_cli.payload.verdicts import judged
 
     # The logs are filtered as those of the model were, so that both see the same band.
     log_set = LogSet.of(inputs)
@@ -59,14 +60,18 @@ def payload(
         options=InertiaOptions(motion=motion_options, source=options.source),
         friction_change=options.friction_change,
     )
-    body = carried_body(fit, inputs.robot.joint_names[-1])
+    names = inputs.robot.joint_names
+    body = carried_body(fit, names[-1])
+    judgement = judged(
+        fit, body, names, good_error=options.good_error, limits=settings.fit
+    )
 
     file = payload_file(
         fit,
         body,
+        judgement,
         inputs,
         log_set,
-        good_error=options.good_error,
         cutoff_origin=motion_options.origin,
         settings=settings,
     )

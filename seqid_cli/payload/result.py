@@ -15,17 +15,17 @@ from seqid_cli.params.schema import Parameter
 from seqid_cli.payload.controllers import controller_settings
 from seqid_cli.payload.fit import PayloadFit
 from seqid_cli.payload.settings import PayloadSettings
-from seqid_cli.payload.verdicts import joint_verdicts, mass_verdict, payload_notes
+from seqid_cli.payload.verdicts import PayloadJudgement
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 
 
 def payload_file(
     fit: PayloadFit,
     body: CarriedBodyEntry,
+    judgement: PayloadJudgement,
     inputs: Inputs,
     log_set: LogSet,
     *,
-    good_error: float,
     cutoff_origin: str,
     settings: PayloadSettings,
 ) -> PayloadFile:
@@ -37,24 +37,18 @@ def payload_file(
         What the logs carry, by least squares.
     body : CarriedBodyEntry
         The body nearest to it.
+    judgement : PayloadJudgement
+        Verdicts on the body and on what it leaves of the torque, and notes.
     inputs : Inputs
         Robot and model that it was identified with.
     log_set : LogSet
         The logs, read by the fit.
-    good_error : float
-        Largest standard error of the mass, as a share of it, with which it is good.
     cutoff_origin : str
         Where the low-pass cut-off of the logs came from, in words.
     settings : PayloadSettings
-        Numbers that the verdicts depend on.
+        Numbers that the verdicts depended on.
     """
     names = inputs.robot.joint_names
-    joints = {name: _joint(fit, j) for j, name in enumerate(names)}
-    verdicts = [
-        *log_set.verdicts(),
-        mass_verdict(body, good_error, settings.fit),
-        *joint_verdicts(body, joints, settings.fit),
-    ]
     covariance = fit.covariance[np.ix_(fit.determined, fit.determined)]
 
     return PayloadFile(
@@ -66,11 +60,11 @@ def payload_file(
         parameters=_parameters(fit, names[-1]),
         covariance=covariance.tolist(),
         settings=controller_settings(body),
-        joints=joints,
+        joints={name: _joint(fit, j) for j, name in enumerate(names)},
         cutoff_origin=cutoff_origin,
-        verdicts=verdicts,
+        verdicts=[*log_set.verdicts(), *judgement.verdicts],
         effective_settings=used_settings(settings),
-        notes=[*log_set.notes(), *payload_notes(fit, body, names)],
+        notes=[*log_set.notes(), *judgement.notes],
     )
 
 
@@ -101,11 +95,10 @@ def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
             samples=0,
             friction_change=friction_change,
         )
-    rmse_with = float(fit.rmse_with[j])
     return JointWithPayload(
         before=float(fit.rmse_without[j]),
-        after=rmse_with,
-        relative=rmse_with / max(float(fit.torque_rms[j]), 1e-300),
+        after=float(fit.rmse_with[j]),
+        relative=fit.shares_left[j],
         samples=n_samples,
         friction_change=friction_change,
     )

@@ -1,8 +1,9 @@
 """Whether a payload can be relied on, and what a reader of it must know besides."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
-from seqid_cli.params.results.payload import CarriedBodyEntry, JointWithPayload
+from seqid_cli.params.results.payload import CarriedBodyEntry
 from seqid_cli.params.schema import Verdict
 from seqid_cli.payload.fit import PayloadFit
 from seqid_cli.payload.settings import PayloadFitSettings
@@ -11,6 +12,45 @@ from seqid_cli.shares import percent
 
 # Share by which a joint's friction differs from the model's, from which a note says so.
 NOTED_FRICTION_CHANGE = 0.05
+
+
+@dataclass(frozen=True)
+class PayloadJudgement:
+    """Verdicts on a payload, and what a reader of it must know besides."""
+
+    verdicts: list[Verdict]
+    notes: list[str]
+
+
+def judged(
+    fit: PayloadFit,
+    body: CarriedBodyEntry,
+    names: tuple[str, ...],
+    *,
+    good_error: float,
+    limits: PayloadFitSettings,
+) -> PayloadJudgement:
+    """Judge a payload.
+
+    Parameters
+    ----------
+    fit : PayloadFit
+    body : CarriedBodyEntry
+        The body nearest to the fit.
+    names : tuple of str
+        Of the joints.
+    good_error : float
+        Largest standard error of the mass, as a share of it, with which it is good.
+    limits : PayloadFitSettings
+    """
+    shares_left = {names[j]: share for j, share in fit.shares_left.items()}
+    return PayloadJudgement(
+        verdicts=[
+            mass_verdict(body, good_error, limits),
+            *joint_verdicts(body, shares_left, limits),
+        ],
+        notes=list(_notes(fit, body, names)),
+    )
 
 
 def mass_verdict(
@@ -42,20 +82,20 @@ def mass_verdict(
 
 def joint_verdicts(
     body: CarriedBodyEntry,
-    joints: dict[str, JointWithPayload],
+    shares_left: Mapping[str, float],
     limits: PayloadFitSettings,
 ) -> Iterator[Verdict]:
     """Yield a poor verdict for each joint whose torque the body leaves unexplained."""
     if body.mass.value is None:  # its torque is not explained for another reason
         return
-    for name, joint in joints.items():
-        if joint.relative is not None and joint.relative > limits.max_left:
-            share = percent(joint.relative)
-            reason = f"{share} of the torque is left with the body in the model"
+    for name, share in shares_left.items():
+        if share > limits.max_left:
+            left = percent(share)
+            reason = f"{left} of the torque is left with the body in the model"
             yield Verdict(joint=name, good=False, reason=reason)
 
 
-def payload_notes(
+def _notes(
     fit: PayloadFit, body: CarriedBodyEntry, names: tuple[str, ...]
 ) -> Iterator[str]:
     """Yield what a reader of the result must know besides."""

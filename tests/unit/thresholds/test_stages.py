@@ -73,7 +73,7 @@ from seqid_cli.params.schema import (
     Stages,
     Verdict,
 )
-from seqid_cli.payload import verdicts as payload_verdicts
+from seqid_cli.payload import verdicts as of_payload
 from seqid_cli.payload.settings import PayloadFitSettings
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
@@ -801,10 +801,9 @@ def bad_payload(
     entry: Any = SimpleNamespace(
         mass=SimpleNamespace(value=1e-3 * mass_sigma, std_error=1e-3), distance=distance
     )
-    joint: Any = SimpleNamespace(relative=left)
     verdicts = [
-        payload_verdicts.mass_verdict(entry, 10.0, settings),
-        *payload_verdicts.joint_verdicts(entry, {"elbow": joint}, settings),
+        of_payload.mass_verdict(entry, 10.0, settings),
+        *of_payload.joint_verdicts(entry, {"elbow": left}, settings),
     ]
     return " ".join(verdict.reason for verdict in verdicts)
 

@@ -204,10 +204,10 @@ def _in_posture(
     return _Posture(robot=arm, logs=tuple(usable), failed=failed, remarks=remarks)
 
 
-def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
+def read_models(sources: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
     """Return parameter files with the names to use in messages."""
     models: list[tuple[str, ParameterFile]] = []
-    for model in given:
+    for model in sources:
         if isinstance(model, ParameterFile):
             models.append(("the given parameters", model))
         else:
@@ -237,12 +237,12 @@ def model_id(name: str, file: ParameterFile, paths: Sequence[Path]) -> FileId:
 
 
 def _logs(
-    given: Sequence[Log], *, go_on: bool, stored: bool
+    requested: Sequence[Log], *, go_on: bool, stored: bool
 ) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
     """Return the logs, and errors of missing ones where `go_on` allows these."""
     present_logs: list[Log] = []
     missing: list[InputError] = []
-    for log in given:
+    for log in requested:
         try:
             if go_on and is_place(log):
                 expand([os.fspath(log)], stored=stored)  # type: ignore[arg-type]

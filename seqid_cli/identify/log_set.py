@@ -121,8 +121,8 @@ class LogSet:
         """Return the date of a result made of the logs read so far and of documents."""
         return created_from(documents, self.times_s(), otherwise=self.robot.source)
 
-    def notes(self, known: Sequence[str] = ()) -> list[str]:
-        """Return notes on the logs for the result, without its `known` ones."""
+    def notes(self, stage_notes: Sequence[str] = ()) -> list[str]:
+        """Return notes on the logs for the result, without its `stage_notes`."""
         # Findings of these codes are in the verdicts already.
         warnings = grouped(
             finding
@@ -130,7 +130,9 @@ class LogSet:
             if finding.severity == "warning" and finding.code not in USABLE_AT_MOST
         )
         new = [
-            _in_words(group) for group in warnings if group[0].message not in set(known)
+            _in_words(group)
+            for group in warnings
+            if group[0].message not in set(stage_notes)
         ]
         return [
             *(f"left out: {text}" for text in self.left_out),

@@ -167,17 +167,17 @@ class Sums:
 class ErrorSums:
     """Sums of errors of predicted torques, part by part of the logs.
 
-    Samples that count (`every`) are `sliding` or at `rest`. At rest friction takes any
-    value up to its limit, and the error is the distance to that interval. Sliding
+    Samples that count (`counted`) are `sliding` or `at_rest`. At rest friction takes
+    any value up to its limit, and the error is the distance to that interval. Sliding
     samples are `inside` the positions and speeds at which friction was identified, or
     `outside`.
     """
 
-    every: Sums
+    counted: Sums
     sliding: Sums
     inside: Sums
     outside: Sums
-    rest: Sums
+    at_rest: Sums
     std_squares: Array  # (n,) (N m)^2, sums over the sliding samples
     parameter_squares: Array  # likewise, of the part by errors of parameters
     coverage: CoverageCounter
@@ -186,11 +186,11 @@ class ErrorSums:
     def none(cls, n: int) -> "ErrorSums":
         """Return the sums over no log, for n joints."""
         return cls(
-            every=Sums.none(n),
+            counted=Sums.none(n),
             sliding=Sums.none(n),
             inside=Sums.none(n),
             outside=Sums.none(n),
-            rest=Sums.none(n),
+            at_rest=Sums.none(n),
             std_squares=np.zeros(n),
             parameter_squares=np.zeros(n),
             coverage=CoverageCounter(),
@@ -200,11 +200,11 @@ class ErrorSums:
         """Add a log, or a part of one."""
         used = np.broadcast_to(log.used[:, None], log.tau.shape)
         outside = log.sliding & log.outside
-        self.every.add(used, log.beyond, log.tau)
+        self.counted.add(used, log.beyond, log.tau)
         self.sliding.add(log.sliding, log.residual, log.tau)
         self.inside.add(log.sliding & ~outside, log.residual, log.tau)
         self.outside.add(outside, log.residual, log.tau)
-        self.rest.add(used & ~log.sliding, log.beyond, log.tau)
+        self.at_rest.add(used & ~log.sliding, log.beyond, log.tau)
 
         std = np.where(log.sliding, log.std, 0.0)
         parameter_std = np.where(log.sliding, log.parameter_std, 0.0)
@@ -228,7 +228,7 @@ class ErrorSums:
         """Return the errors of joint `j`."""
         sliding = self.sliding
         n_sliding = float(sliding.samples[j])
-        n_samples = float(self.every.samples[j])
+        n_samples = float(self.counted.samples[j])
         n_outside = float(self.outside.samples[j])
         # A joint without any statement on its errors has a deviation of NaN.
         std = _root(self.std_squares[j], n_sliding)
@@ -237,13 +237,13 @@ class ErrorSums:
             relative_rmse=_root(sliding.error_squares[j], sliding.torque_squares[j]),
             max_abs=float(sliding.largest[j]) if n_sliding else None,
             samples=int(n_sliding),
-            rmse_all=self.every.rmse(j),
+            rmse_all=self.counted.rmse(j),
             samples_all=int(n_samples),
             share_sliding=n_sliding / n_samples if n_samples else None,
             rmse_inside=self.inside.rmse(j),
             rmse_outside=self.outside.rmse(j),
             share_outside=n_outside / n_sliding if n_sliding else None,
-            rmse_rest=self.rest.rmse(j),
+            rmse_rest=self.at_rest.rmse(j),
             std=std if std is not None and math.isfinite(std) else None,
             parameter_std=_root(self.parameter_squares[j], n_sliding),
             coverage=self.coverage.of_joint(j),

@@ -18,9 +18,13 @@ import numpy as np
 
 from seqid_cli.effects.effect import Coefficient, Effect, Setting, Settings
 from seqid_cli.effects.law import Law
+from seqid_cli.effects.scene import Scenes
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+
+# rad, from the middle of the travel: a joint has been wound up by no more
+FURTHEST_REST_RAD = 2.0 * np.pi
 
 
 class Spring(Effect):
@@ -57,6 +61,23 @@ class Spring(Effect):
         if settings["cubic"] > 0.5:
             terms += ("q * q * q", "q * q")
         return {joint: Law(terms=terms)}
+
+    def plausible(
+        self, scenes: Scenes, joint: int, settings: Settings, c: Array
+    ) -> bool:
+        """Return whether a part could be slack, or dead, where the law says it is.
+
+        The torque of a spring that rests many turns away is the same all over the
+        travel: that is an offset. Of a cubic law the rest position is no such place.
+        """
+        is_cubic = settings["cubic"] > 0.5
+        if is_cubic or scenes[0].robot.joints[joint].prismatic:
+            return super().plausible(scenes, joint, settings, c)
+        lowest = min(float(np.min(scene.motion.q[:, joint])) for scene in scenes)
+        highest = max(float(np.max(scene.motion.q[:, joint])) for scene in scenes)
+        torque_at_middle = abs(c[0] * 0.5 * (lowest + highest) + c[1])
+        rests_near = bool(torque_at_middle <= FURTHEST_REST_RAD * abs(c[0]))
+        return rests_near and super().plausible(scenes, joint, settings, c)
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array

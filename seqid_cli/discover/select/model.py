@@ -24,6 +24,7 @@ from seqid_cli.discover.candidates import (
 )
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
+from seqid_cli.discover.select.bounds import within_bounds
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.options import Options
@@ -470,8 +471,22 @@ class Model:
         return self.linear.where[len(self._base) + self.terms.index(term)]
 
     def coefficients(self, term: Term) -> Array:
-        """Return a term's coefficients (k,), of two sets those below the cut-off."""
-        return self.linear.theta[self.where(term)][: term.what.size]
+        """Return a term's coefficients (k,), of two sets those below the cut-off.
+
+        Those of an effect are within its bounds, where their errors allow it.
+        """
+        coefficients = self.linear.theta[self.where(term)][: term.what.size]
+        if not isinstance(term.what, Candidate):
+            return coefficients
+        first = self.where(term).start
+        of_effect = slice(first, first + term.what.size)
+        return within_bounds(
+            term.what,
+            coefficients,
+            self.linear.covariance[of_effect, of_effect],
+            term.part.precision[: term.what.size, : term.what.size],
+            negligible_share=self.ground.options.negligible_share,
+        )
 
     def variances(self, term: Term) -> Array:
         """Return the variance (k,) of these coefficients by the noise alone."""

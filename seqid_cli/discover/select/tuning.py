@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate, CandidateColumns
+from seqid_cli.discover.select.bounds import within_bounds
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import TermFit
@@ -71,7 +72,14 @@ class Tuner:
         for term, fit in zip(terms, fits, strict=True):
             fitted_term = FittedTerm(term, fit)
             candidate = fitted_term.candidate
-            coefficients = fit.coefficients[: candidate.size]
+            of_effect = slice(candidate.size)
+            coefficients = within_bounds(
+                candidate,
+                fit.coefficients[of_effect],
+                fit.covariance[of_effect, of_effect],
+                term.part.precision[of_effect, of_effect],
+                negligible_share=self.options.negligible_share,
+            )
             if candidate.effect.plausible(
                 self.stage.scenes, candidate.joint, candidate.settings, coefficients
             ):

@@ -1,0 +1,94 @@
+"""Coefficients at a bound: a truth at the edge of what is physical has its name."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.select.bounds import within_bounds
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
+from tests import Array
+from tests.unit.discover.arms import (
+    arm_scenes,
+    at_joint,
+    candidate,
+    file_of,
+    selected,
+)
+
+LOSS = 0.1  # N m of friction per N m of load, while the gear drives
+RIVALS = (
+    "gear_efficiency",
+    "load_dependent_friction",
+    "spring",
+    "torque_saturation",
+    "asymmetric_friction",
+    "torque_bias",
+)
+GEAR = candidate("gear_efficiency", 0)
+ONE_SIZE = np.eye(2)
+
+
+def moved(
+    c: list[float], std: float, share: float = 0.0, correlation: float = 0.0
+) -> list[float]:
+    covariance = std**2 * np.array([[1.0, correlation], [correlation, 1.0]])
+    values = within_bounds(
+        GEAR, np.array(c), covariance, ONE_SIZE, negligible_share=share
+    )
+    return values.tolist()
+
+
+def test_what_is_within_its_bounds_stays() -> None:
+    assert moved([0.1, 0.02], 0.01) == [0.1, 0.02]
+
+
+def test_within_its_error_a_coefficient_is_at_the_bound() -> None:
+    assert moved([0.1, -0.015], 0.01) == [0.1, 0.0]
+
+
+def test_beyond_its_error_it_stays_where_it_is() -> None:
+    assert moved([0.1, -0.03], 0.01) == [0.1, -0.03]
+
+
+def test_what_a_law_does_not_tell_is_an_error_as_well() -> None:
+    assert moved([0.1, -0.006], 1e-6) == [0.1, -0.006]
+    assert moved([0.1, -0.006], 1e-6, share=0.04) == [pytest.approx(0.1), 0.0]
+
+
+def test_the_others_are_what_they_are_at_the_bound() -> None:
+    assert moved([0.1, -0.01], 0.01, correlation=0.5) == pytest.approx([0.105, 0.0])
+
+
+def driving_alone(size: float) -> Callable[[Scene], Array]:
+    """Losses of a gear that costs nothing while it is driven, or gives a little."""
+
+    def torque(scene: Scene) -> Array:
+        load = scene.load[:, 0]
+        driven = load * scene.motion.dq[:, 0] < 0.0
+        losses = np.where(driven, size, LOSS)
+        return np.asarray(losses * np.abs(load) * scene.sign[:, 0])
+
+    return torque
+
+
+@pytest.mark.parametrize(("seed", "driven"), [(0, 0.0), (1, 0.0), (2, -0.001)])
+def test_losses_only_when_driving_have_their_name(seed: int, driven: float) -> None:
+    """The estimate of the other loss lies below zero in half of all logs."""
+    extra = at_joint(0, driving_alone(driven))
+    scenes = arm_scenes(extra, seed=seed, noise=(0.05, 0.05))
+    found = selected(scenes, RIVALS, stages=file_of(scenes[0]))
+    assert [taken.term.key for taken in found.terms] == [("gear_efficiency", 0)]
+    term = found.terms[0].term
+    losses = found.model.coefficients(term)
+    assert term.what.effect.plausible(scenes, 0, term.what.settings, losses)
+
+
+def test_a_spring_that_rests_turns_away_is_none() -> None:
+    scenes = arm_scenes(seconds=8.0, logs=1)
+    spring = CATALOGUE["spring"]
+    settings = {"cubic": 0.0}
+    assert spring.plausible(scenes, 0, settings, np.array([-5.0, 2.0]))
+    assert spring.plausible(scenes, 0, settings, np.array([5.0, -25.0]))
+    assert not spring.plausible(scenes, 0, settings, np.array([-0.2, 3.7]))

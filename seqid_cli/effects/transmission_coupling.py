@@ -22,7 +22,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.effects.effect import Coefficient, Effect, Grid, Setting, Settings
+from seqid_cli.effects.effect import (
+    Coefficient,
+    Effect,
+    Grid,
+    Mirrored,
+    Setting,
+    Settings,
+)
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.scene import Joint, Scene, Scenes, top_speed
 from seqid_cli.effects.smooth import Axis
@@ -80,6 +87,16 @@ class TransmissionCoupling(Effect):
                 unit = top_speed(scenes, joint) / top_speed(scenes, k)
             for ratio in RATIOS:
                 yield {"neighbour": float(k - joint), "ratio": unit * ratio}
+
+    def mirrored(self, joint: int, settings: Settings) -> Mirrored:
+        """Return the drive as one of the neighbour's, with the inverse ratio."""
+        return Mirrored(
+            joint=_partner(joint, settings),
+            settings={
+                "neighbour": -settings["neighbour"],
+                "ratio": 1.0 / settings["ratio"],
+            },
+        )
 
     def axis(self, joint: int, settings: Settings) -> Axis:
         """Return the neighbour's velocity."""

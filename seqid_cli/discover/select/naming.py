@@ -110,6 +110,8 @@ def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
     is_there = reality(result.share, result.evidence) * steadiness(
         result.log_evidence_of_variation, result.share, floors_left
     )
+    # Beside much that is not understood odds are even that it is a part of that.
+    is_there *= 1.0 - 0.5 * result.not_understood
     # What these logs lack the channels for is as likely as the name itself.
     untried = [name for name in result.untried if name not in likely]
     return NameConfidence(

@@ -99,6 +99,8 @@ class TermResult:
         For its size to be another one in every block.
     untried : tuple of str
         Effects that look like it, but these logs lack the channels to look for them.
+    not_understood : float
+        Share that larger smooth functions at its joints have in their gain and its own.
     """
 
     scored: ScoredTerm
@@ -110,6 +112,7 @@ class TermResult:
     alternatives: Mapping[str, float]
     log_evidence_of_variation: float
     untried: tuple[str, ...] = ()
+    not_understood: float = 0.0
 
     @property
     def term(self) -> Term:

@@ -11,6 +11,7 @@ factors", JASA 90, 1995.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -40,9 +41,10 @@ from seqid_cli.discover.select.results import (
 )
 from seqid_cli.discover.select.rows import ColumnGroup, scatter
 from seqid_cli.discover.select.search import Search, is_wide
+from seqid_cli.discover.select.seconds import worth_beside_larger
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import FittedTerm
-from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.effect import Effect, Mirrored
 from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
@@ -352,10 +354,17 @@ class Selection:
         if least is None:
             least = self.options.min_confidence
         scored = _scored(self.model.linear, self._last_tried)
-        results = self._with_value_changes(self._results_by_simplest(least), least)
+        self._name_at_joints()
+        by_simplest = self._results_by_simplest(least)
+        with_changes = self._with_value_changes(by_simplest, least)
+        judged = worth_beside_larger(
+            self.model,
+            {result.term: result for result in with_changes},
+            self.options.min_confidence,
+        )
         return SelectionResult(
             model=self.model,
-            terms=results,
+            terms=tuple(judged.values()),
             visible_shares={
                 key: share
                 for key, share in self._search.visible.items()
@@ -498,12 +507,48 @@ class Selection:
             return None
         return max(able, key=lambda fitted: fitted.evidence).term
 
+    def _name_at_joints(self) -> None:
+        """Name an effect of two joints at the one whose residual it explains most.
+
+        Where both of its names do as well, the residual decides, and not noise.
+        """
+        model = self.model
+        for number, term in enumerate(model.terms):
+            mirrored = _mirrored(term)
+            if mirrored is None or (term.name, mirrored.joint) in self.keys:
+                continue
+
+            candidate = term.what
+            assert isinstance(candidate, Candidate)
+            assert candidate.joint is not None
+            squares_here = model.squares(term, frozenset({candidate.joint}))
+            squares_there = model.squares(term, frozenset({mirrored.joint}))
+            if squares_there <= squares_here:
+                continue
+            without = model.beside(term)
+            other = replace(candidate, joint=mirrored.joint, settings=mirrored.settings)
+            tuner = model.ground.tuner(without)
+            fitted = [tuner.tuned(start) for start in tuner.tried([other])]
+            as_good = [
+                scored
+                for scored in _scored(without, fitted)
+                if self.as_good(scored, again(term, model))
+            ]
+            if as_good:
+                self._search.changed(term)
+                model.terms[number] = as_good[0].term
+                model.settle()
+
     def _simplest_name(self, result: TermResult, taken_keys: set[Key]) -> Term:
         """Return the term of fewest parameters among it and rivals that do as well."""
         keys = set(taken_keys)
         for term in self.model.terms:
             if term is not result.term and not is_wide(term):
                 keys.add(term.key)
+        # An effect of two joints has its joint already (see `_name_at_joints`).
+        mirrored = _mirrored(result.term)
+        if mirrored is not None:
+            keys.add((result.term.name, mirrored.joint))
         probable = probable_names(result)
         free = [
             rival
@@ -650,9 +695,21 @@ class Selection:
             is_alike = (
                 beside.name in effect.alike or term.name in beside.what.effect.alike
             )
+            # Where motor and link move apart no column of the rigid body is where it
+            # seems: a change of the body is alike as well.
+            if effect.apart and (is_elsewhere or is_alike or beside.change):
+                return self.options.apart
             if is_elsewhere or is_alike:
-                return self.options.apart if effect.apart else float(np.sqrt(small))
+                return float(np.sqrt(small))
         return 0.0 if effect.exact else small
+
+
+def _mirrored(term: Term) -> Mirrored | None:
+    """Return how another joint may say the same as an effect of one joint."""
+    candidate = term.what
+    if not isinstance(candidate, Candidate) or candidate.joint is None:
+        return None
+    return candidate.effect.mirrored(candidate.joint, candidate.settings)
 
 
 def _scored(

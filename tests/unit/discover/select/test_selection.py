@@ -19,6 +19,7 @@ from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,
+    NOISE,
     Extra,
     arm_scenes,
     at_joint,
@@ -150,8 +151,12 @@ def test_a_coupled_pair_is_named_once(drive: int) -> None:
         c = np.array([1.5, 0.3, 0.02])
         return np.stack([X[j] @ c for j in (0, 1)], axis=1)
 
-    (taken,) = selected(arm_scenes(coupled), ["transmission_coupling"]).terms
+    scenes = arm_scenes(coupled)
+    (taken,) = selected(scenes, ["transmission_coupling"]).terms
     assert taken.term.name == "transmission_coupling"
+    torque = np.concatenate([coupled(scene) for scene in scenes])
+    in_noise = np.sqrt(np.mean(torque**2, axis=0)) / NOISE
+    assert taken.term.joint == np.argmax(in_noise)
     assert taken.term.what.settings["ratio"] == 1.0
 
 

@@ -14,7 +14,14 @@ from seqid_cli.discover.base import LIKELY, has_trials, residual_of
 from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
-from seqid_cli.effects.effect import Columns, Effect
+from seqid_cli.effects.effect import (
+    FROM_LOG,
+    SINCE_LOG,
+    AnyJoint,
+    Columns,
+    Effect,
+    Settings,
+)
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array
@@ -162,16 +169,17 @@ class Candidate:
         for setting in self.effect.settings:
             if setting.continuous and not self.effect.wide:
                 continue  # of the same law: only how it is shaped
-            name = setting.name
-            if not math.isclose(
-                self.settings[name], other.settings[name], rel_tol=tolerance
-            ):
+            value, other_value = (
+                settings.get(setting.name, 0.0)
+                for settings in (self.settings, other.settings)
+            )
+            if not math.isclose(value, other_value, rel_tol=tolerance):
                 return False
         return True
 
     def columns(self, scene: Scene) -> Columns:
         """Return the torque (N, k) per unit coefficient by joint, unfiltered."""
-        return self.effect.columns(scene, self.joint, self.settings)
+        return self.effect.columns_in_log(scene, self.joint, self.settings)
 
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
         """Return the low-passed torque (N,) N m of coefficients c (k,), by joint."""
@@ -185,6 +193,8 @@ class Candidate:
         return torques
 
 
+# of the largest singular value: what the logs do not show of a change
+OPEN = 1e-9
 # candidates times samples that are worked out together: memory
 MOST_COLUMNS = 2_000_000
 
@@ -389,12 +399,83 @@ def candidates_of(
             shows_in_trials = effect.steady and has_trials(narrow[0], joint)
             for settings in effect.grid(scenes, joint, residuals):
                 yield Candidate(effect, joint, settings)
+                if SINCE_LOG in effect.settings:
+                    first_log = likeliest_log(
+                        scenes, residuals, effect, joint, settings
+                    )
+                    if first_log is not None:
+                        since = {**settings, FROM_LOG: float(first_log)}
+                        yield Candidate(effect, joint, since)
                 if effect.wide:
                     yield Candidate(effect, joint, settings, apart=True)
                 if shows_in_trials:
                     yield Candidate(effect, joint, settings, absorbed="all")
                 if shows_in_trials and effect.even:
                     yield Candidate(effect, joint, settings, absorbed="friction")
+
+
+def likeliest_log(
+    scenes: Sequence[Scene],
+    residuals: Sequence[Array],
+    effect: Effect,
+    joint: AnyJoint,
+    settings: Settings,
+) -> int | None:
+    """Return the log from which on an effect explains a residual best.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        The data sets.
+    residuals : sequence of (N, n) arrays
+        By data set, the low-passed residual [N m; N where prismatic].
+    effect : Effect
+        A change of the file's values.
+    joint : int or None
+        Where it is; None for the whole arm.
+    settings : Settings
+        Its settings.
+
+    Returns
+    -------
+    int, optional
+        None where it explains as much if it is there in all logs.
+    """
+    numbers = sorted({scene.log for scene in scenes})
+    if len(numbers) < 2:
+        return None
+
+    # Normal equations by log, every joint in units of what is left there.
+    sizes = np.sqrt(
+        sum(np.sum(residual**2, axis=0) for residual in residuals)
+        / sum(len(residual) for residual in residuals)
+    )
+    count = len(effect.coefficients(settings))
+    products = {number: np.zeros((count, count)) for number in numbers}
+    moments = {number: np.zeros(count) for number in numbers}
+    for scene, residual in zip(scenes, residuals, strict=True):
+        for j, unfiltered in effect.columns(scene, joint, settings).items():
+            if sizes[j] == 0.0:
+                continue
+            X = scene.motion.filtered(unfiltered, times=effect.passes)
+            X = np.where(residual[:, [j]] != 0.0, X, 0.0) / sizes[j]
+            products[scene.log] += X.T @ X
+            moments[scene.log] += X.T @ (residual[:, j] / sizes[j])
+
+    # What is explained by the columns of a log and all after it. Columns of one size:
+    # those of a body are of a kilogram and of a kilogram metre squared.
+    total = sum(products.values(), np.zeros((count, count)))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+    explained = {}
+    A = np.zeros((count, count))
+    b = np.zeros(count)
+    for number in reversed(numbers):
+        A += products[number] * np.outer(scale, scale)
+        b += moments[number] * scale
+        inverse = np.linalg.pinv(A, rcond=OPEN, hermitian=True)
+        explained[number] = float(b @ inverse @ b)
+    first_log = max(numbers, key=lambda number: explained[number])
+    return None if first_log == numbers[0] else first_log
 
 
 def _joints_of(effect: Effect, scene: Scene) -> list[int | None]:

@@ -7,9 +7,11 @@ before it. Without a common clock it counts as recorded after all of them.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from seqid_cli.effects.effect import acts_in_log
 from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.effects.measurement import MeasurementEffect
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
@@ -89,6 +91,28 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
     if session is None:
         return scene
 
+    place = place_of(recording, session)
+    return replace(
+        scene,
+        log=place.log,
+        start=recording.offset if place.start is None else place.start,
+        shared_clock=place.start is not None,
+    )
+
+
+class Place(NamedTuple):
+    """Where a log stands in a session.
+
+    `log` is its number, `start` [s] that of its clock, None where the session has no
+    clock, or the log another one.
+    """
+
+    log: int
+    start: float | None
+
+
+def place_of(recording: Recording, session: EffectSession) -> Place:
+    """Return where a log stands in a session."""
     # A session may know a recording by its own digest, or by that of its log.
     digests = [recording.sha256]
     if recording.source_log:
@@ -97,26 +121,22 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
     if digest is not None:
         number = session.logs.index(digest)
         if not session.starts:
-            return replace(
-                scene, log=number, start=recording.offset, shared_clock=False
-            )
+            return Place(log=number, start=None)
         within_log = 0.0 if digest == recording.sha256 else recording.offset
-        start = session.starts[number] + within_log
-        return replace(scene, log=number, start=start, shared_clock=True)
+        return Place(log=number, start=session.starts[number] + within_log)
 
     # A log that the session does not know, without a common clock or of another time.
     if (
         session.origin is None
         or abs(recording.start - session.origin) > LONGEST_SESSION_S
     ):
-        last = len(session.logs)
-        return replace(scene, log=last, start=recording.offset, shared_clock=False)
+        return Place(log=len(session.logs), start=None)
 
     # By the clock it follows the log of the session that started last before it.
     start = recording.start - session.origin
     earlier = [k for k, other in enumerate(session.starts) if other <= start]
     number = max(earlier, key=lambda k: session.starts[k]) if earlier else -1
-    return replace(scene, log=number, start=start, shared_clock=True)
+    return Place(log=number, start=start)
 
 
 def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
@@ -201,7 +221,9 @@ def effects_variance(
         for item in effects:
             if not isinstance(item, FittedEffect) or not item.covariance.any():
                 continue
-            columns = item.effect.columns(placed_scene, item.joint, item.settings)
+            columns = item.effect.columns_in_log(
+                placed_scene, item.joint, item.settings
+            )
             for j, unfiltered in columns.items():
                 X = scene.motion.filtered(unfiltered, times=item.passes)
                 variance[:, j] += np.sum((X @ item.covariance) * X, axis=1)
@@ -269,9 +291,11 @@ def without_effects(
         if isinstance(item, FittedEffect) and isinstance(
             item.effect, MeasurementEffect
         ):
-            recording = item.effect.restored(
-                recording, robot, item.joint, item.settings, item.coefficients
-            )
+            number = place_of(recording, item.session).log if item.session else 0
+            if acts_in_log(number, item.settings):
+                recording = item.effect.restored(
+                    recording, robot, item.joint, item.settings, item.coefficients
+                )
         else:
             to_subtract.append(item)
     if not to_subtract:

@@ -20,6 +20,7 @@ import numpy as np
 
 from seqid_cli.effects.declared import BodyTerm
 from seqid_cli.effects.effect import (
+    SINCE_LOG,
     Coefficient,
     Columns,
     Effect,
@@ -61,6 +62,7 @@ class BaseTilt(Effect):
             )
             for name in AROUND
         ),
+        SINCE_LOG,
     )
     alike = ("payload", "spring", "torque_bias")
     separate_by = (

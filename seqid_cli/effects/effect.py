@@ -135,6 +135,25 @@ class Setting:
         return float(np.exp(x)) if self.logarithmic else float(x)
 
 
+FROM_LOG = "from_log"
+# Of a change of the file's values: the log from which on it is there, where that is not
+# the first one.
+SINCE_LOG = Setting(FROM_LOG, "1", low=0.0, continuous=False, asked=False)
+
+
+def acts_in_log(number: int, settings: Settings) -> bool:
+    """Return whether an effect is there in a log of a session, by its number."""
+    return number >= settings.get(FROM_LOG, -np.inf)
+
+
+@dataclass(frozen=True)
+class Mirrored:
+    """The same effect, seen from another joint that it touches."""
+
+    joint: int
+    settings: dict[str, float]
+
+
 class Effect:
     """A physical effect; subclasses are stateless and live in one file each."""
 
@@ -200,6 +219,15 @@ class Effect:
         # Parts that the laws of several joints share are evaluated once.
         shared: dict[int, dict[str, Evaluated]] = {}
         return {j: law.columns(scene, j, shared) for j, law in laws.items()}
+
+    def columns_in_log(
+        self, scene: Scene, joint: AnyJoint, settings: Settings
+    ) -> Columns:
+        """Compute the `columns`, zero in a log before the effect came."""
+        columns = self.columns(scene, joint, settings)
+        if acts_in_log(scene.log, settings):
+            return columns
+        return {j: np.zeros_like(X) for j, X in columns.items()}
 
     def values(
         self,
@@ -310,6 +338,10 @@ class Effect:
     # Last coefficients that files of earlier versions lack: zero there.
     later: tuple[str, ...] = ()
 
+    def mirrored(self, joint: int, settings: Settings) -> "Mirrored | None":
+        """Return how another joint may say the same; None if none does."""
+        return None
+
     # ---- Further declarations: how it shows in time and frequency -------------------
 
     # How many times the log's low-pass is to be applied to the columns: 1 for smooth
@@ -361,7 +393,8 @@ class Effect:
     def searched(self, settings: Settings) -> int:
         """Return how many parameters are searched beside the coefficients."""
         followed = sum(bool(setting.then) for setting in self.settings)
-        return len(self.between(settings)) + followed
+        since_a_log = settings.get(FROM_LOG, 0.0) > 0.0
+        return len(self.between(settings)) + followed + since_a_log
 
     def beyond(self, scenes: Scenes, joint: AnyJoint) -> Grid:
         """Yield first values of settings that are not asked for."""

@@ -51,7 +51,7 @@ class FittedEffect:
 
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Compute the torque (N,) N m of every joint that is touched, unfiltered."""
-        columns = self.effect.columns(scene, self.joint, self.settings)
+        columns = self.effect.columns_in_log(scene, self.joint, self.settings)
         return {j: X @ self.coefficients for j, X in columns.items()}
 
 

@@ -12,7 +12,12 @@ Mechatronics 19(5), 2014.
 
 from collections.abc import Mapping
 
-from seqid_cli.effects.effect import Coefficient, FrictionEffect, Settings
+from seqid_cli.effects.effect import (
+    SINCE_LOG,
+    Coefficient,
+    FrictionEffect,
+    Settings,
+)
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.scene import Joint, Scenes
 from seqid_cli.robot.types import Robot
@@ -24,6 +29,7 @@ class FrictionChange(FrictionEffect):
 
     name = "friction_change"
     change = True
+    settings = (SINCE_LOG,)
     sided = True
     over = "speed"
     linear = (
@@ -66,7 +72,7 @@ class FrictionChange(FrictionEffect):
         """Return whether friction with its change takes energy from the motion."""
         energy = 0.0
         for scene in scenes:
-            change = self.columns(scene, joint, settings)[joint] @ c
+            change = self.columns_in_log(scene, joint, settings)[joint] @ c
             torque = scene.friction[:, joint] + change
             energy += float(torque @ scene.motion.dq[:, joint]) / scene.motion.rate_hz
         return energy >= 0.0

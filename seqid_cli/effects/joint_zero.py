@@ -21,6 +21,7 @@ from dataclasses import replace
 from seqid_cli.effects.base_tilt import first_joint_upright
 from seqid_cli.effects.declared import Shift
 from seqid_cli.effects.effect import (
+    SINCE_LOG,
     AnyJoint,
     Coefficient,
     Columns,
@@ -59,6 +60,7 @@ class JointZero(MeasurementEffect):
             grid=(0.0, -0.5, 0.5, -1.5, 1.5),
             agreement=CONSISTENT,
         ),
+        SINCE_LOG,
     )
     linear = (Coefficient("zero_error", "rad", low=-LARGEST_RAD, high=LARGEST_RAD),)
     alike = ("payload", "base_tilt", "encoder_eccentricity", "spring")

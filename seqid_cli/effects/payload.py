@@ -1,6 +1,6 @@
 """A body at the flange that the parameters do not know of: added, removed or changed.
 
-    tau = Y_n(q, dq, ddq) phi    from log `from_log` on, 0 before it
+    tau = Y_n(q, dq, ddq) phi
 
 Y_n are the columns of the last link in the regressor of Eq. 3, phi = (m, mx, my, mz,
 Ixx, Ixy, Iyy, Ixz, Iyz, Izz) the ten inertial parameters of what was added [kg, kg m,
@@ -14,14 +14,13 @@ import numpy as np
 
 from seqid_cli.effects.declared import BodyTerm
 from seqid_cli.effects.effect import (
+    SINCE_LOG,
     Coefficient,
     Columns,
     Effect,
-    GridAxes,
-    Setting,
     Settings,
 )
-from seqid_cli.effects.scene import Joint, Scene, Scenes
+from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
 from seqid_cli.robot.types import Robot
@@ -35,7 +34,7 @@ class Payload(Effect):
     arm = True
     change = True
     exact = True
-    settings = (Setting("from_log", "1", low=0.0, continuous=False),)
+    settings = (SINCE_LOG,)
     passes = 1
     linear = tuple(
         Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD
@@ -45,10 +44,6 @@ class Payload(Effect):
         "the same motion with and without the payload, and poses that turn the last"
         " link against gravity"
     )
-
-    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """Return the numbers of all logs: the payload is there from any of them on."""
-        return {"from_log": sorted({float(scene.log) for scene in scenes})}
 
     def body_terms(
         self, robot: Robot, joint: Joint, settings: Settings
@@ -60,9 +55,6 @@ class Payload(Effect):
         """Return the last link's columns of the regressor, for every joint."""
         motion = scene.motion
         n = scene.robot.n
-        if scene.log < settings["from_log"]:
-            return {j: np.zeros((scene.samples, PER_LINK)) for j in range(n)}
-
         of_last_link = list(range(PER_LINK * (n - 1), PER_LINK * n))
         Y = torque_regressor(
             scene.robot.chain,

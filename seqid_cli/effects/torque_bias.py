@@ -8,7 +8,7 @@ almost the same as a gravity parameter.
 
 from collections.abc import Mapping
 
-from seqid_cli.effects.effect import Coefficient, Settings
+from seqid_cli.effects.effect import SINCE_LOG, Coefficient, Settings
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.measurement import TorqueMeasurement, touched
 from seqid_cli.effects.scene import Joint
@@ -23,6 +23,7 @@ class TorqueBias(TorqueMeasurement):
     drive = True
     slow = True
     change = True
+    settings = (SINCE_LOG,)
     exact = True
     over = "session_time"
     linear = (Coefficient("offset", "N m"),)

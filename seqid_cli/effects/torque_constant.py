@@ -10,7 +10,7 @@ IROS 2011.
 
 from collections.abc import Mapping
 
-from seqid_cli.effects.effect import Coefficient, Settings
+from seqid_cli.effects.effect import SINCE_LOG, Coefficient, Settings
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.measurement import ModelledTorque, touched
 from seqid_cli.effects.scene import Joint
@@ -24,6 +24,7 @@ class TorqueConstant(ModelledTorque):
     name = "torque_constant"
     drive = True
     change = True
+    settings = (SINCE_LOG,)
     exact = True
     linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
     alike = ("payload", "torque_saturation", "load_dependent_friction")

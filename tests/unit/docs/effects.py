@@ -23,7 +23,8 @@ GENERATED = "## All effects"  # from here on the page is the registry's
 REMARKS = {  # by what is true of an effect
     "change": (
         "a constant one that was there when the model was identified hides in the"
-        " model's own parameters; it shows against an earlier parameter file only"
+        " model's own parameters; it shows against an earlier parameter file only; one"
+        " that came between two logs is there from log `from_log` on"
     ),
     "wide": "it is looked for above the low-pass cut-off as well",
     "slow": (

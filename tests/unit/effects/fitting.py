@@ -103,7 +103,7 @@ def fitted(
         motion = scene.motion
         usable = motion.usable
         residual = left_over(scene)
-        for j, column in effect.columns(scene, joint, settings).items():
+        for j, column in effect.columns_in_log(scene, joint, settings).items():
             terms = {
                 "direction": scene.sign[:, j],
                 "velocity": motion.dq[:, j],

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from seqid_cli.discover.candidates import likeliest_log
 from seqid_cli.effects.base_tilt import (
     BaseTilt,
     first_joint_upright,
@@ -26,6 +27,7 @@ from tests.unit.effects.fitting import (
     Law,
     best_fitted,
     fitted,
+    left_over,
     moved_by,
     rms_left,
     trials,
@@ -49,8 +51,15 @@ def test_mass_moment_and_log_come_back() -> None:
     scenes = [scene_of(wander(15.0, seed=k), log=k) for k in range(3)]
     phi = scenes[2].model.phi + np.array([np.zeros(10), point_mass()])
     scenes[2] = moved_by(scenes[2], replace(scenes[2].model, phi=phi))
-    settings, c, rms = best_fitted(Payload(), scenes, None)
-    assert settings == {"from_log": 2.0}
+    rng = np.random.default_rng(0)
+    residuals = [
+        left_over(scene) + 1e-3 * rng.normal(size=scene.motion.q.shape)
+        for scene in scenes
+    ]
+    settings = {"from_log": 2.0}
+    assert likeliest_log(scenes, residuals, Payload(), None, {}) == 2
+    assert likeliest_log(scenes[2:], residuals[2:], Payload(), None, {}) is None
+    c, rms = fitted(Payload(), scenes, None, settings)
     visible = Payload().columns(scenes[2], None, settings)
     assert rms < 1e-6
     assert max(np.max(np.abs(X @ (c - point_mass()))) for X in visible.values()) < 1e-4

@@ -2,6 +2,8 @@
 them.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from tests import Array
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS
 from tests.unit.discover.arms import (
+    Extra,
     arm_scenes,
     at_joint,
     file_of,
@@ -69,6 +72,30 @@ def test_friction_that_has_grown_is_told_by_its_name_and_size(
 def test_nothing_has_changed_where_the_file_holds() -> None:
     scenes = arm_scenes(noise=(0.02, 0.02))
     assert selected(scenes, LAWS, stages=known_friction(scenes[0])).terms == ()
+
+
+def from_the_second_log(torque: Extra) -> Extra:
+    """Return a torque that is not there in the first log."""
+    return lambda scene: torque(scene) * float(scene.log >= 1)
+
+
+CHANGES = ("friction_change", "torque_constant", "torque_bias", "payload")
+
+
+@pytest.mark.parametrize(
+    ("name", "torque"),
+    [
+        ("friction_change", worn),
+        ("torque_constant", lambda scene: 0.1 * scene.modelled[:, 0]),
+    ],
+)
+def test_what_changes_between_two_logs_has_its_name_and_the_log(
+    name: str, torque: Callable[[Scene], Array]
+) -> None:
+    scenes = arm_scenes(from_the_second_log(at_joint(0, torque)), noise=(0.05, 0.05))
+    found = selected(scenes, CHANGES, stages=known_friction(scenes[0]))
+    assert [taken.term.key for taken in found.terms] == [(name, 0)]
+    assert found.terms[0].term.what.settings == {"from_log": 1.0}
 
 
 def test_causes_compete_beside_the_file_as_it_is(scenes: list[Scene]) -> None:

@@ -15,6 +15,7 @@ from tests.studies.outside.robotfiles import FRICTION, STEP_S, row
 from tests.studies.outside.simulate import Effect, State, built
 
 Draw = Callable[[Arm, int, np.random.Generator], Effect]
+POSTURES = 25  # over which the inertia that hangs on a belt is taken
 
 
 def found(root: ET.Element, path: str) -> ET.Element:
@@ -404,15 +405,25 @@ def hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 
 
 def belt(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """A belt: with the motor held, the arm rings on it at 8 to 20 Hz."""
+    """A belt: with the motor held, the arm rings on it at 8 to 20 Hz, in the posture
+    between those where it is lightest and heaviest.
+    """
     hertz = float(np.exp(rng.uniform(np.log(8.0), np.log(20.0))))
+    links = arm.links[: arm.n]
+    middle, reach = (
+        np.array([getattr(x, k) for x in links]) for k in ("middle", "reach")
+    )
     model = built(arm)
     data = mujoco.MjData(model)
-    data.qpos[:] = [link.middle for link in arm.links[: arm.n]]
-    mujoco.mj_forward(model, data)
-    full = np.zeros((arm.n, arm.n))
-    mujoco.mj_fullM(model, data, full)
-    inertia = float(full[j, j]) - arm.drives[j].rotor
+    felt = list[float]()
+    # Of an arm that stands upright a turntable feels next to nothing.
+    for _ in range(POSTURES):
+        data.qpos[:] = middle + rng.uniform(-1.0, 1.0, arm.n) * reach
+        mujoco.mj_forward(model, data)
+        full = np.zeros((arm.n, arm.n))
+        mujoco.mj_fullM(model, data, full)
+        felt.append(float(full[j, j]) - arm.drives[j].rotor)
+    inertia = float(np.median(felt))
     stiffness = inertia * (2.0 * np.pi * hertz) ** 2
     damping = 0.06 * np.sqrt(stiffness * inertia)  # 3 % of the critical one
 

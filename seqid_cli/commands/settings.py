@@ -32,7 +32,7 @@ from seqid_cli.identify.settings import (
     SurfaceSettings,
     TrialSettings,
 )
-from seqid_cli.inspect.settings import InspectSettings
+from seqid_cli.inspect.settings import EchoSettings, InspectSettings
 from seqid_cli.payload.settings import PayloadSettings
 from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.settings import Entry, Settings, entries, overridden
@@ -60,6 +60,7 @@ class RunSettings(Settings):
     errors: PredictionErrorSettings = PredictionErrorSettings()
     evidence: EvidenceSettings = EvidenceSettings()
     events: EventSettings = EventSettings()
+    echo: EchoSettings = EchoSettings()
 
 
 SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {

@@ -79,7 +79,7 @@ def diagnose(
     """
     motion = options.motion
     known_effects = fitted_effects(stages, robot, unexplained=True)
-    usable, notes = usable_logs(recordings, robot)
+    usable, notes = usable_logs(recordings, robot, settings=options.settings.echo)
     logs = [
         without_effects(
             log,

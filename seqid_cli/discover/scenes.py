@@ -13,6 +13,7 @@ from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.dynamics.echo import REMEDY, WARNING, echoes
+from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.logs.recording import Recording, by_log, torque_of
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
@@ -199,7 +200,10 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
 
 
 def usable_logs(
-    recordings: Iterable[Recording], robot: Robot
+    recordings: Iterable[Recording],
+    robot: Robot,
+    *,
+    settings: EchoSettings = EchoSettings(),
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Leave out logs whose torque is an echo of the command.
 
@@ -211,6 +215,8 @@ def usable_logs(
         The logs.
     robot : Robot
         The arm.
+    settings : EchoSettings
+        How much friction an echo may seem to have.
 
     Returns
     -------
@@ -227,7 +233,7 @@ def usable_logs(
     usable: list[Recording] = []
     left_out: list[tuple[str, str]] = []  # paths, with the joints that are echoes
     for pieces in by_log(recordings):
-        echoing_joints = _echoes_of(pieces, robot)
+        echoing_joints = _echoes_of(pieces, robot, settings)
         if echoing_joints and 2 * len(echoing_joints) >= len(pieces):
             left_out.append((str(pieces[0].path), echoing_joints[0]))
         else:
@@ -247,13 +253,17 @@ def usable_logs(
     return usable, tuple(notes)
 
 
-def _echoes_of(pieces: Sequence[Recording], robot: Robot) -> list[str]:
+def _echoes_of(
+    pieces: Sequence[Recording], robot: Robot, settings: EchoSettings
+) -> list[str]:
     """Return the joints whose torque is an echo, for every piece that has any."""
     echoing = []
     for piece in pieces:
         if piece.tau is None:
             continue
-        joints = echoes(robot, piece.t, piece.q, piece.tau, piece.valid)
+        joints = echoes(
+            robot, piece.t, piece.q, piece.tau, piece.valid, settings=settings
+        )
         if len(joints):
             echoing.append(", ".join(robot.joint_names[joint] for joint in joints))
     return echoing

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from seqid_cli.identify.settings import JudgingSettings
+from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.settings import Group, Settings, setting
 
 
@@ -74,3 +75,4 @@ class DiscoverSettings(Settings):
     judging: JudgingSettings = JudgingSettings()
     evidence: EvidenceSettings = EvidenceSettings()
     events: EventSettings = EventSettings()
+    echo: EchoSettings = EchoSettings()

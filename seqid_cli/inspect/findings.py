@@ -45,7 +45,8 @@ ERRORS: Mapping[str, str] = {
     "torque_constant_value": "Log the measured motor current or torque.",
     "torque_stuck": "Look at the connection between drive and logger.",
     "torque_echo": (
-        "Record the measured current while the controller drives the joints."
+        "Record the measured current while the controller drives the joints; if it is"
+        " measured and the joint hardly rubs, --set echo.max_friction=0 takes it."
     ),
     "current_in_ma": "Convert to A.",
     "effort_is_current": (

@@ -60,6 +60,20 @@ class DynamicsSettings(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
+class EchoSettings(Group):
+    """When a torque that position explains is said to be no measurement."""
+
+    max_friction: float = setting(
+        0.025,
+        unit="of the torque's RMS",
+        reason="Coulomb friction, with its error, below which a torque is an echo of the"
+        " command; 0: none is",
+        low=0.0,
+        high=1.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImuSettings(Group):
     """When the readings of an IMU are said to be wrong."""
 
@@ -85,4 +99,5 @@ class InspectSettings(Settings):
 
     channels: ChannelSettings = ChannelSettings()
     dynamics: DynamicsSettings = DynamicsSettings()
+    echo: EchoSettings = EchoSettings()
     imus: ImuSettings = ImuSettings()

@@ -82,7 +82,9 @@ def confirm(
     options = refinement.material.options
     names = robot.joint_names
 
-    held_out, notes_on_logs = usable_logs(held_out, robot)
+    held_out, notes_on_logs = usable_logs(
+        held_out, robot, settings=options.settings.echo
+    )
     motion_options = with_own_cutoffs(
         held_out,
         robot,

@@ -75,7 +75,7 @@ def refine(
     InputError
         A log carries neither torque nor current.
     """
-    training, notes = usable_logs(training, robot)
+    training, notes = usable_logs(training, robot, settings=options.settings.echo)
     options = on_the_same_samples(options, file.stages, robot)
     motion = with_own_cutoffs(
         training, robot, file.stages, options.motion, options.settings.evidence

@@ -180,7 +180,14 @@ def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
     log = data.recording
     if log.tau is None:
         return
-    for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
+    for j in echoes(
+        data.robot,
+        log.t,
+        log.q,
+        log.tau,
+        log.valid,
+        settings=data.settings.echo,
+    ):
         # Noise of a joint that stands makes travel, but no motion.
         if data.moves(j):
             yield finding_of("torque_echo", WARNING, data.robot.joint_names[j])

@@ -12,16 +12,23 @@ and the accelerations of all joints. It is an echo if the first two explain it a
 others have no part, neither in the torque nor in what the first two leave of it, but
 for a damping F_v < 0, which no friction has but a controller may. A joint that is only
 held is passed over; see `driven`.
+
+A log is not used because of this. So it is not enough that no friction shows: the upper
+end of the 95 % interval of F_c must be small beside the torque. Its standard error is
+how far the products of what is left with the part of tanh(v / v_s) that no other column
+has scatter over stretches of `memory_s`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
+from scipy.stats import t as student_t
 
+from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.robot.base_parameters import base_parameters, gravity_base_regressor
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 RCOND = 1e-8
 WARNING = (
@@ -31,11 +38,20 @@ WARNING = (
 )
 REMEDY = (
     "record the measured motor current while the controller drives the joints along a"
-    " trajectory, not gravity compensation and not a constant command"
+    " trajectory, not gravity compensation and not a constant command; if it is"
+    " measured, and the joint hardly rubs, --set echo.max_friction=0 takes the log"
 )
 
 
-def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+def echoes(
+    robot: Robot,
+    t: Array,
+    q: Array,
+    tau: Array,
+    valid: Mask,
+    *,
+    settings: EchoSettings = EchoSettings(),
+) -> list[int]:
     """Return the joints whose torque follows position alone.
 
     Parameters
@@ -48,6 +64,8 @@ def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[in
         Positions [rad; m] and torques [N m; N].
     valid : (N,) array of bool
         Samples that count.
+    settings : EchoSettings
+        How much friction an echo may seem to have.
     """
     # Averages over a window take the noise; the residual remembers for `memory_s`.
     window_s = 0.02
@@ -82,14 +100,16 @@ def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[in
     echoing: list[int] = []
     for j in np.flatnonzero(driven(q_mean) & both_ways).tolist():
         rows = np.flatnonzero(slides[:, j])
-        rows = rows[:: max(1, len(rows) // most_windows)]
+        stride = max(1, len(rows) // most_windows)
+        rows = rows[::stride]
         columns = _Columns(
             of_position=np.hstack([H[rows, j], smooth(q_mean[rows, j], 5)]),
             direction=np.tanh(v[rows, j] / least_speed[j]),
             speed=v[rows, j],
             accelerations=a[rows],
         )
-        if _follows_position(tau_mean[rows, j], columns, memory_s / step):
+        stretch = (rows * step / memory_s).astype(np.intp)
+        if _follows_position(tau_mean[rows, j], columns, stretch, settings):
             echoing.append(j)
     return echoing
 
@@ -140,19 +160,18 @@ class _Columns:
     accelerations: Array  # (M, n)
 
 
-def _follows_position(tau: Array, columns: _Columns, memory: float) -> bool:
+def _follows_position(
+    tau: Array, columns: _Columns, stretch: Index, settings: EchoSettings
+) -> bool:
     """Return whether position alone makes a torque (M,).
 
-    `memory` is how many windows of the residual say as much as one.
+    `stretch` (M,) numbers the stretches of time that residuals remember, ascending.
     """
-    # Shares of the torque's RMS: that may be left; with nothing to explain; that is no
-    # friction.
+    # Shares of the torque's RMS: that may be left; with nothing to explain.
     unexplained = 0.1
     exact = 1e-3
-    none = 0.003
     # Share of what position leaves, squared, for friction and accelerations.
     others = 0.15
-    uncertain = 2.0  # standard errors of the friction
 
     size = max(float(np.sqrt(np.mean(tau**2))), 1e-300)
     friction = np.stack([columns.direction, columns.speed], axis=1)
@@ -161,7 +180,8 @@ def _follows_position(tau: Array, columns: _Columns, memory: float) -> bool:
     direction_column = columns.of_position.shape[1]
     speed_column = direction_column + 1
     theta = np.linalg.lstsq(X, tau, rcond=RCOND)[0]
-    mean_square = float(np.mean((tau - X @ theta) ** 2))
+    left = tau - X @ theta
+    mean_square = float(np.mean(left**2))
 
     # Damping by a controller is no friction: it counts as a part of the law.
     law = list(range(direction_column))
@@ -177,10 +197,32 @@ def _follows_position(tau: Array, columns: _Columns, memory: float) -> bool:
     # Only what of the direction the other columns do not show determines its friction.
     other_columns = np.delete(X, direction_column, axis=1)
     direction = _residual(other_columns, X[:, direction_column])
-    power = max(float(direction @ direction), 1e-300)
-    std_error = float(np.sqrt(memory * mean_square / power))
-    coulomb_torque = abs(float(theta[direction_column]))
-    return coulomb_torque < max(uncertain * std_error, none * size)
+    std_error = _std_error(direction, left, stretch)
+    n_stretches = len(np.unique(stretch))
+    quantile = float(student_t.ppf(0.975, n_stretches - 1))
+    largest = abs(float(theta[direction_column])) + quantile * std_error
+    return largest < settings.max_friction * size
+
+
+def _std_error(column: Array, left: Array, stretch: Index) -> float:
+    """Return the standard error of a coefficient.
+
+    Parameters
+    ----------
+    column : (M,) array
+        The part of its column that no other column has.
+    left : (M,) array
+        What all columns leave.
+    stretch : (M,) index array
+        Stretches of time, within which residuals remember; infinite with one of them.
+    """
+    _, number = np.unique(stretch, return_inverse=True)
+    sums = np.bincount(number, weights=column * left)
+    count = len(sums)
+    if count < 2:
+        return float("inf")
+    scatter = float(np.sqrt(count / (count - 1) * np.sum(sums**2)))
+    return scatter / max(float(column @ column), 1e-300)
 
 
 def _residual(X: Array, y: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.inspect.dynamics.echo import echoes
+from seqid_cli.inspect.settings import EchoSettings
 from tests import Array
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander
@@ -65,6 +66,28 @@ def test_torque_of_friction_or_inertia_is_none(
 ) -> None:
     t, q, dq, ddq = motion(speed=speed)
     assert found(t, q, gravity(q) + share * friction(dq) + inertia * ddq, 6) == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_little_friction_that_waves_hide_is_still_friction(seed: int) -> None:
+    """Friction of 3 % of the torque beside waves over the position of 6 %, in 10 s."""
+    t, q, dq, _ = motion(seed, speed=0.3)
+    started = t < 10.0
+    torque = gravity(q)
+    size = np.sqrt(np.mean(torque[started] ** 2, axis=0))
+    torque += 0.06 * np.sqrt(2.0) * size * np.sin(40.0 * q + 1.0)
+    rubbing = torque + 0.03 * size * np.tanh(dq / 0.01)
+    log = (t[started], q[started], rubbing[started], started[started])
+    assert echoes(two_joint_robot(), *log) == []
+
+
+def test_who_knows_the_torque_for_measured_may_say_so() -> None:
+    t, q, _, _ = motion(0)
+    tau = gravity(q)
+    is_valid = np.ones(len(t), dtype=bool)
+    none = EchoSettings(max_friction=0.0)
+    assert echoes(two_joint_robot(), t, q, tau, is_valid)
+    assert not echoes(two_joint_robot(), t, q, tau, is_valid, settings=none)
 
 
 def test_joint_that_is_held_says_nothing() -> None:

@@ -10,11 +10,12 @@ import pytest
 from seqid_cli.inspect.channels import positions
 from seqid_cli.inspect.channels.torques import _spikes
 from seqid_cli.inspect.channels.values import missing
-from seqid_cli.inspect.dynamics import equations
+from seqid_cli.inspect.dynamics import echo, equations
 from seqid_cli.inspect.imu import readings
 from seqid_cli.inspect.settings import (
     ChannelSettings,
     DynamicsSettings,
+    EchoSettings,
     ImuSettings,
     InspectSettings,
 )
@@ -85,6 +86,23 @@ def no_match(settings: DynamicsSettings, left: float) -> bool:
     return "model_mismatch" in of_equations(settings, left)
 
 
+def no_echo(settings: EchoSettings, friction: float) -> bool:
+    """A torque that follows position, but for this share of friction in its RMS."""
+    t = 0.02 * np.arange(3000)
+    q = np.sin(t)
+    direction = np.sign(np.cos(t))
+    torque = np.sqrt(2.0) * (q + 0.08 * np.sin(40.0 * t))
+    columns: Any = SimpleNamespace(
+        of_position=q[:, None],
+        direction=direction,
+        speed=np.cos(t),
+        accelerations=-q[:, None],
+    )
+    stretch = (2.0 * t).astype(np.intp)
+    torque += friction * direction
+    return not echo._follows_position(torque, columns, stretch, settings)
+
+
 def at_rest(settings: ImuSettings) -> Any:
     return SimpleNamespace(
         settings=InspectSettings(imus=settings),
@@ -130,6 +148,7 @@ WITNESSES = witnesses(
         ("channels.max_speed", 2.4, 1.6, too_fast),
         ("dynamics.max_left", 0.12, 0.08, cause_is_sought),
         ("dynamics.max_unexplained", 0.7, 0.5, no_match),
+        ("echo.max_friction", 0.024, 0.018, no_echo),
         ("imus.max_gravity_error", 0.06, 0.04, wrong_gravity),
         ("imus.max_bias", 0.12, 0.08, biased),
     ],

@@ -9,6 +9,7 @@ import pytest
 
 from seqid_cli.discover.scenes import usable_logs
 from seqid_cli.errors import InputError
+from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.logs.recording import Recording, Whole
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import recording, wander
@@ -43,7 +44,11 @@ def test_nothing_left_is_an_error() -> None:
         usable_logs(logs, ROBOT)
     assert caught.value.where == "first"
     assert "and 1 more" in str(caught.value)
-    assert "motor current" in (caught.value.hint or "")
+    hint = caught.value.hint or ""
+    assert "motor current" in hint
+    assert "--set echo.max_friction=0" in hint
+    settings = EchoSettings(max_friction=0.0)
+    assert usable_logs(logs, ROBOT, settings=settings) == (logs, ())
 
 
 def test_pieces_stay_together() -> None:

@@ -17,8 +17,19 @@ the price of leaving the file, and E - E without the file is what the term saves
 Of an effect that was there when the file was identified the file has R a in its base:
 theta + R a ~ N(0, P^-1) then, which couples the two.
 
+Slow noise has columns S with coefficients g ~ N(0, V^-1) of each log and channel by
+themselves. With many logs these are most of all parameters, and none is of interest. So
+they are eliminated from the products of their log: with G = V + S'wS
+
+    A - B'wS G^-1 S'wB,   b - B'wS G^-1 S'wy,   and C, d, D likewise
+
+are products of the same kind, and what follows has the size of what all logs share. A
+block that is left out takes its part from G as well: what it is worth is the difference
+of its log's products with and without it.
+
 In the code A is B'wB, b is B'wy and C is B'wX. In shapes, p is the number of parameters
-theta, m that of the columns of all terms that are tried together, k that of one term.
+theta, m that of the columns of all terms that are tried together, k that of one term, s
+that of a log's own columns.
 """
 
 from __future__ import annotations
@@ -33,7 +44,13 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
 from seqid_cli.discover.select import algebra
-from seqid_cli.discover.select.rows import ColumnGroup, Observations, Score, TermFit
+from seqid_cli.discover.select.rows import (
+    ColumnGroup,
+    LogColumns,
+    Observations,
+    Score,
+    TermFit,
+)
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 
@@ -57,10 +74,75 @@ class _ChannelColumns:
         The parameters that the channel knows.
     groups : list of (M_c, .) arrays
         Their columns, group by group.
+    of_log : LogColumns, optional
+        Columns that each log has for itself.
     """
 
     index: Index
     groups: list[Array]
+    of_log: LogColumns | None = None
+
+    @property
+    def all_groups(self) -> list[Array]:
+        """The columns, then those that each log has for itself."""
+        if self.of_log is None:
+            return self.groups
+        return [*self.groups, self.of_log.columns]
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """A log's own columns at one channel, with root R of G = R R'.
+
+    Attributes
+    ----------
+    root : (s, s) array
+        R, lower triangular.
+    base : (s, p_c) array
+        R^-1 S'wB.
+    y : (s,) array
+        R^-1 S'wy.
+    """
+
+    root: Array
+    base: Array
+    y: Array
+
+    def halved(self, products: Array) -> Array:
+        """Return R^-1 S'wX of products S'wX (s, m)."""
+        return np.asarray(
+            solve_triangular(self.root, products, lower=True, check_finite=False)
+        )
+
+    def coefficients(self, theta: Array) -> Array:
+        """Return the coefficients (s,) beside parameters (p_c,) of the channel."""
+        return np.asarray(
+            solve_triangular(
+                self.root,
+                self.y - self.base @ theta,
+                lower=True,
+                trans="T",
+                check_finite=False,
+            )
+        )
+
+
+class _LogSums(NamedTuple):
+    """Products A (p_c, p_c) and b (p_c,) of a log at a channel, its own columns out.
+
+    `eliminated` are these; None where there are none.
+    """
+
+    A: Array
+    b: Array
+    eliminated: _Eliminated | None
+
+
+class _WithoutBlock(NamedTuple):
+    """The fit to all other blocks; by channel, the own columns of the block's log."""
+
+    solution: _Solution
+    eliminated: dict[int, _Eliminated]
 
 
 class LinearModel:
@@ -74,6 +156,8 @@ class LinearModel:
         What explains it.
     weight : sequence of (M_c,) arrays
         By channel, the precision w of each row [1 / (N m)^2].
+    of_logs : sequence of LogColumns
+        Columns that each log has for itself; a channel has one of them at most.
 
     Attributes
     ----------
@@ -88,10 +172,12 @@ class LinearModel:
         rows: Observations,
         parts: Sequence[ColumnGroup],
         weight: Sequence[Array],
+        of_logs: Sequence[LogColumns] = (),
     ) -> None:
         self.rows = rows
         self.parts = tuple(parts)
         self.weight = tuple(weight)
+        self.of_logs = tuple(of_logs)
         self.where = _slices(part.size for part in self.parts)
         self.size = sum(part.size for part in self.parts)
         self._columns = [self._of_channel(channel) for channel in range(len(rows.y))]
@@ -125,7 +211,10 @@ class LinearModel:
         index = np.concatenate([parameters[self.where[number]] for number in staying])
         A, b = self.sums
         smaller = LinearModel(
-            self.rows, [self.parts[number] for number in staying], self.weight
+            self.rows,
+            [self.parts[number] for number in staying],
+            self.weight,
+            self.of_logs,
         )
         smaller.sums = A[np.ix_(index, index)], b[index]
         return smaller
@@ -138,7 +227,10 @@ class LinearModel:
                 of_part = np.arange(where.start, where.stop)
                 index.append(of_part[part.at(channel)])
                 groups.append(part.columns[channel])
-        return _ChannelColumns(index=np.concatenate(index), groups=groups)
+        of_log = next((own for own in self.of_logs if own.channel == channel), None)
+        return _ChannelColumns(
+            index=np.concatenate(index), groups=groups, of_log=of_log
+        )
 
     def _held_precision(self, *, file: bool = True) -> Array:
         """Return the precision (p, p) of what is `held`, with or without the file's."""
@@ -185,23 +277,57 @@ class LinearModel:
 
     # ---- the fit
 
-    def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
-        """Return A (p, p) and b (p,) of some rows of every channel."""
-        A = np.zeros((self.size, self.size))
-        b = np.zeros(self.size)
-        for columns, root, y, at in zip(
-            self._columns, self._root, self._scaled_y, rows, strict=True
-        ):
-            index = columns.index
-            B = _weighted(root[at], [group[at] for group in columns.groups])
-            A[np.ix_(index, index)] += B.T @ B
-            b[index] += B.T @ y[at]
-        return A, b
+    def _products_of(self, channel: int, at: slice) -> tuple[Array, Array]:
+        """Return products of a channel's columns, the log's own last, and the rows."""
+        groups = [group[at] for group in self._columns[channel].all_groups]
+        B = _weighted(self._root[channel][at], groups)
+        return B.T @ B, B.T @ self._scaled_y[channel][at]
+
+    def _eliminated(self, channel: int, A: Array, b: Array) -> _LogSums:
+        """Eliminate a log's own columns from its products."""
+        columns = self._columns[channel]
+        if columns.of_log is None:
+            return _LogSums(A, b, None)
+        p = len(columns.index)
+        G = A[p:, p:] + columns.of_log.precision
+        root = np.asarray(np.linalg.cholesky(G), dtype=np.float64)
+        halved = solve_triangular(
+            root, np.column_stack([A[p:, :p], b[p:]]), lower=True, check_finite=False
+        )
+        base = halved[:, :p]
+        y = halved[:, p]
+        return _LogSums(
+            A[:p, :p] - base.T @ base,
+            b[:p] - base.T @ y,
+            _Eliminated(root=root, base=base, y=y),
+        )
+
+    @cached_property
+    def _products_of_logs(self) -> list[list[tuple[Array, Array]]]:
+        """Products of every log, channel by channel."""
+        return [
+            [self._products_of(channel, at) for at in slices]
+            for channel, slices in enumerate(self.rows.log_slices)
+        ]
+
+    @cached_property
+    def _sums_of_logs(self) -> list[list[_LogSums]]:
+        """The same, each log's own columns out."""
+        return [
+            [self._eliminated(channel, A, b) for A, b in products]
+            for channel, products in enumerate(self._products_of_logs)
+        ]
 
     @cached_property
     def sums(self) -> tuple[Array, Array]:
-        """Products A (p, p) and b (p,) of all rows."""
-        return self._sums_of([slice(None)] * len(self._columns))
+        """Products A (p, p) and b (p,) of all rows, the logs' own columns out."""
+        A = np.zeros((self.size, self.size))
+        b = np.zeros(self.size)
+        for columns, of_logs in zip(self._columns, self._sums_of_logs, strict=True):
+            index = columns.index
+            A[np.ix_(index, index)] += sum(of_log.A for of_log in of_logs)
+            b[index] += sum(of_log.b for of_log in of_logs)
+        return A, b
 
     @cached_property
     def _scale(self) -> Array:
@@ -228,14 +354,32 @@ class LinearModel:
         return self._fit(*self.sums)
 
     @cached_property
-    def _without_block(self) -> list[_Solution]:
-        """Solution without each block."""
-        A, b = self.sums
-        solutions = []
-        for block_rows in zip(*self.rows.block_slices, strict=True):
-            A_block, b_block = self._sums_of(block_rows)
-            solutions.append(self._fit(A - A_block, b - b_block))
-        return solutions
+    def _without_block(self) -> list[_WithoutBlock]:
+        """The fit without each block."""
+        return [
+            self._without_rows(self.rows.log[block], block_rows)
+            for block, block_rows in enumerate(
+                zip(*self.rows.block_slices, strict=True)
+            )
+        ]
+
+    def _without_rows(self, log: int, rows: Sequence[slice]) -> _WithoutBlock:
+        """Return the fit without some rows of every channel, all of one log."""
+        A, b = (total.copy() for total in self.sums)
+        eliminated: dict[int, _Eliminated] = {}
+        for channel, at in enumerate(rows):
+            if at.stop == at.start:
+                continue
+            A_log, b_log = self._products_of_logs[channel][log]
+            A_rows, b_rows = self._products_of(channel, at)
+            others = self._eliminated(channel, A_log - A_rows, b_log - b_rows)
+            of_log = self._sums_of_logs[channel][log]
+            index = self._columns[channel].index
+            A[np.ix_(index, index)] += others.A - of_log.A
+            b[index] += others.b - of_log.b
+            if others.eliminated is not None:
+                eliminated[channel] = others.eliminated
+        return _WithoutBlock(self._fit(A, b), eliminated)
 
     @cached_property
     def _without_file(self) -> _Solution:
@@ -264,7 +408,7 @@ class LinearModel:
 
     def jackknife(self, at: slice) -> Array:
         """Return the covariance (k, k) of some of `theta` by leaving out each block."""
-        values = np.array([solution.theta[at] for solution in self._without_block])
+        values = np.array([fit.solution.theta[at] for fit in self._without_block])
         deviation = values - values.mean(axis=0)
         return np.asarray((1.0 - 1.0 / len(values)) * deviation.T @ deviation)
 
@@ -277,30 +421,92 @@ class LinearModel:
             algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where
         )
         square = sum(float(y @ y) for y in self._scaled_y)
-        explained = float(self.sums[1] @ theta)
-        return 0.5 * (explained - square) - algebra.half_log_det(factor) + prior_log_det
+        explained = float(self.sums[1] @ theta) + self._explained_by_logs
+        worth = 0.5 * (explained - square) - self._half_log_det_of_logs
+        return worth - algebra.half_log_det(factor) + prior_log_det
+
+    @property
+    def _explained_by_logs(self) -> float:
+        """Square of the rows that the logs' own columns explain by themselves."""
+        total = 0.0
+        for of_channel in self._sums_of_logs:
+            for _, _, own in of_channel:
+                total += 0.0 if own is None else float(own.y @ own.y)
+        return total
+
+    @property
+    def _half_log_det_of_logs(self) -> float:
+        """Half the logarithm of the determinants of G V^-1, log by log."""
+        total = 0.0
+        for columns, of_channel in zip(self._columns, self._sums_of_logs, strict=True):
+            if columns.of_log is None:
+                continue
+            prior = 0.5 * float(np.log(np.diag(columns.of_log.precision)).sum())
+            for _, _, own in of_channel:
+                if own is not None:
+                    total += float(np.log(np.diag(own.root)).sum()) - prior
+        return total
 
     # ---- what the model leaves
 
     def residual(self) -> list[Array]:
         """Return what is left (M_c,) N m of every channel."""
-        return [
-            self._left(channel, slice(None), self.theta)
-            for channel in range(len(self._scaled_y))
-        ]
+        by_channel = []
+        for channel, slices in enumerate(self.rows.log_slices):
+            of_logs = self._sums_of_logs[channel]
+            parts = [
+                self._left(channel, at, self.theta, of_log.eliminated)
+                for at, of_log in zip(slices, of_logs, strict=True)
+            ]
+            by_channel.append(np.concatenate(parts))
+        return by_channel
 
     @cached_property
     def left_out(self) -> list[Array]:
         """What is left (M_c,) N m of every block by a fit to all others, by channel."""
-        thetas = [solution.theta for solution in self._without_block]
         by_channel = []
         for channel, block_rows in enumerate(self.rows.block_slices):
             parts = [
-                self._left(channel, rows, theta)
-                for rows, theta in zip(block_rows, thetas, strict=True)
+                self._left(
+                    channel,
+                    rows,
+                    fit.solution.theta,
+                    fit.eliminated.get(channel),
+                )
+                for rows, fit in zip(block_rows, self._without_block, strict=True)
             ]
             by_channel.append(np.concatenate(parts))
         return by_channel
+
+    def left_out_of(self, group_of_log: Index) -> list[Array]:
+        """Return what is left (M_c,) N m of groups of logs by a fit to all others.
+
+        A log's own slow noise is not known from others: it is no part of the
+        prediction.
+
+        Parameters
+        ----------
+        group_of_log : (L,) index array
+            The group of each log.
+        """
+        left = [np.zeros(len(y)) for y in self.rows.y]
+        for group in np.unique(group_of_log):
+            logs = np.flatnonzero(group_of_log == group)
+            theta = self._without_logs(logs).theta
+            for channel, slices in enumerate(self.rows.log_slices):
+                for log in logs:
+                    at = slices[log]
+                    left[channel][at] = self._left(channel, at, theta)
+        return left
+
+    def _without_logs(self, logs: Index) -> _Solution:
+        """Return the fit without the rows of some logs."""
+        A, b = (total.copy() for total in self.sums)
+        for columns, of_logs in zip(self._columns, self._sums_of_logs, strict=True):
+            for log in logs:
+                A[np.ix_(columns.index, columns.index)] -= of_logs[log].A
+                b[columns.index] -= of_logs[log].b
+        return self._fit(A, b)
 
     def torque_beside_file(self, part: ColumnGroup, channel: int) -> Array:
         """Return the torque (M_c,) N m of a group less what the file has absorbed."""
@@ -309,7 +515,14 @@ class LinearModel:
         theta[where] = self.theta[where]
         return self.rows.y[channel] - self._left(channel, slice(None), theta)
 
-    def _left(self, channel: int, rows: slice, theta: Array) -> Array:
+    def _left(
+        self,
+        channel: int,
+        rows: slice,
+        theta: Array,
+        eliminated: _Eliminated | None = None,
+    ) -> Array:
+        """Return what parameters (p,), and a log's own columns, leave of its rows."""
         columns = self._columns[channel]
         residual = self.rows.y[channel][rows].copy()
         first = 0
@@ -317,6 +530,9 @@ class LinearModel:
             stop = first + group.shape[1]
             residual -= group[rows] @ theta[columns.index[first:stop]]
             first = stop
+        if columns.of_log is not None and eliminated is not None:
+            own = eliminated.coefficients(theta[columns.index])
+            residual -= columns.of_log.columns[rows] @ own
         return residual
 
     # ---- groups that the model has
@@ -346,7 +562,9 @@ class LinearModel:
 
         log_factor = log_bayes_factor(self._all_rows)
         log_factor_without_file = log_bayes_factor(self._without_file)
-        without_block = np.array([log_bayes_factor(x) for x in self._without_block])
+        without_block = np.array(
+            [log_bayes_factor(fit.solution) for fit in self._without_block]
+        )
 
         a, S = estimate(self._all_rows)
         unexplained = np.trace(np.linalg.inv(S) - part.precision)
@@ -376,34 +594,45 @@ class LinearModel:
         at = self._place_of(part)
         n_blocks = self.rows.blocks
         C = np.zeros((self.size, n_blocks))
-        D = np.zeros(n_blocks)
+        D = np.zeros((n_blocks, n_blocks))
         d = np.zeros(n_blocks)
+        all_residuals = self.residual()
         for channel in part.columns:
             columns = self._columns[channel]
+            p = len(columns.index)
             torque = part.torque(channel, self.theta[at])
             weighted = torque * self.weight[channel]
-            residual = self._left(channel, slice(None), self.theta)
+            residual = all_residuals[channel]
+            sizes = [group.shape[1] for group in columns.all_groups]
+            products = np.zeros((sum(sizes), n_blocks))
             for block, rows in enumerate(self.rows.block_slices[channel]):
-                C[columns.index, block] += np.concatenate(
-                    [group[rows].T @ weighted[rows] for group in columns.groups]
+                products[:, block] = np.concatenate(
+                    [group[rows].T @ weighted[rows] for group in columns.all_groups]
                 )
-                D[block] += torque[rows] @ weighted[rows]
+                D[block, block] += torque[rows] @ weighted[rows]
                 d[block] += residual[rows] @ weighted[rows]
 
+            C[columns.index] += products[:p]
+            for log, of_log in enumerate(self._sums_of_logs[channel]):
+                own = of_log.eliminated
+                if own is None:
+                    continue
+                blocks = np.flatnonzero(self.rows.log == log)
+                halved = own.halved(products[p:, blocks])
+                C[np.ix_(columns.index, blocks)] -= own.base.T @ halved
+                D[np.ix_(blocks, blocks)] -= halved.T @ halved
+
         Z = self._halved(self._all_rows.factor, C)
-        factors = algebra.bayes_factor(
-            np.diag(D) - Z.T @ Z, d, np.eye(n_blocks) / spread**2
-        )
+        factors = algebra.bayes_factor(D - Z.T @ Z, d, np.eye(n_blocks) / spread**2)
         return float(factors.log_factor)
 
     # ---- terms that the model does not have
 
     def fits(self, terms: Sequence[ColumnGroup]) -> list[TermFit]:
         """Fit each term by itself beside the model."""
-        every_row = [(slice(0, len(y)),) for y in self._scaled_y]
         fits: list[TermFit] = []
         for first in range(0, len(terms), BATCH):
-            crossed = self._crossed(terms[first : first + BATCH], every_row)
+            crossed = self._crossed(terms[first : first + BATCH], by_block=False)
             with_file = self._coupled_products(crossed)
             fits += self._fits_beside(self._all_rows, crossed, with_file)
         return fits
@@ -413,7 +642,7 @@ class LinearModel:
         if not terms:
             return []
 
-        crossed = self._crossed(terms, self.rows.block_slices)
+        crossed = self._crossed(terms, by_block=True)
         with_file = self._coupled_products(crossed)
         without_file = self._coupled_products(crossed, file=False)
         fits = self._fits_beside(self._all_rows, crossed, with_file)
@@ -423,7 +652,8 @@ class LinearModel:
         explained = [np.empty_like(D) for D in crossed.D]
         residual_product = np.empty_like(crossed.d)
         d = crossed.total.d
-        for block, (factor, theta) in enumerate(self._without_block):
+        for block, fit in enumerate(self._without_block):
+            factor, theta = fit.solution
             C = with_file.C - crossed.C[block]
             Z = self._halved(factor, C)
             residual_product[block] = d - crossed.d[block] - C.T @ theta
@@ -489,19 +719,23 @@ class LinearModel:
             )
         return fits
 
-    def _crossed(
-        self, terms: Sequence[ColumnGroup], rows: Sequence[Sequence[slice]]
-    ) -> _Crossed:
-        """Return products of terms with all else, over slices of each channel's rows.
+    def _crossed(self, terms: Sequence[ColumnGroup], *, by_block: bool) -> _Crossed:
+        """Return products of terms with all else, the logs' own columns out.
 
         Terms with the same columns share their products: these take most of the time.
+        What each block is worth takes room, and is left out unless asked for.
         """
         where = _slices(term.size for term in terms)
-        n_slices = len(rows[0])
         n_columns = where[-1].stop
-        C = np.zeros((n_slices, self.size, n_columns))
-        d = np.zeros((n_slices, n_columns))
-        D = [np.zeros((n_slices, term.size, term.size)) for term in terms]
+        n_blocks = self.rows.blocks if by_block else 0
+        C = np.zeros((n_blocks, self.size, n_columns))
+        d = np.zeros((n_blocks, n_columns))
+        D = [np.zeros((n_blocks, term.size, term.size)) for term in terms]
+        total = _Total(
+            C=np.zeros((self.size, n_columns)),
+            d=np.zeros(n_columns),
+            D=[np.zeros((term.size, term.size)) for term in terms],
+        )
 
         # The first of the terms with the same columns, for every term.
         first_of = dict[tuple[int, ...], int]()
@@ -512,32 +746,123 @@ class LinearModel:
             present = [i for i in first_of.values() if channel in terms[i].columns]
             if not present:
                 continue
+            groups = [terms[i] for i in present]
             places = []
             for i in present:
                 of_term = np.arange(where[i].start, where[i].stop)
                 places.append(of_term[terms[i].at(channel)])
             columns = np.concatenate(places)
-            edges = np.cumsum([len(place) for place in places])[:-1]
-            block = np.ix_(base.index, columns)
+            of_channel = np.ix_(base.index, columns)
 
-            for k, in_slice in enumerate(rows[channel]):
-                for tile in tiles(in_slice.stop, in_slice.start):
-                    X_each = [terms[i].columns[channel][tile] for i in present]
-                    wX = _weighted(self.weight[channel][tile], X_each)
-                    if base.groups:  # none above a cut-off
-                        C[k][block] += np.vstack([B[tile].T @ wX for B in base.groups])
-                    d[k, columns] += self.rows.y[channel][tile] @ wX
-                    wX_each = np.split(wX, edges, axis=1)
-                    for i, X, wX_of_term in zip(present, X_each, wX_each, strict=True):
+            for log, log_rows in enumerate(self.rows.log_slices[channel]):
+                blocks = np.flatnonzero(self.rows.log == log) if by_block else ()
+                slices = [self.rows.block_slices[channel][block] for block in blocks]
+                parts = [
+                    self._term_products(channel, groups, at)
+                    for at in slices or [log_rows]
+                ]
+                of_log = sum(parts[1:], start=parts[0])
+                worth = of_log.without_own(self._sums_of_logs[channel][log].eliminated)
+                total.C[of_channel] += worth.C
+                total.d[columns] += worth.d
+                for i, of_term in zip(present, worth.D, strict=True):
+                    at = terms[i].at(channel)
+                    total.D[i][at, at] += of_term
+
+                for block, part in zip(blocks, parts, strict=by_block):
+                    own = self._without_block[block].eliminated.get(channel)
+                    if base.of_log is not None and own is None:
+                        continue  # without rows here
+                    in_block = worth - (of_log - part).without_own(own)
+                    C[block][of_channel] += in_block.C
+                    d[block, columns] += in_block.d
+                    for i, of_term in zip(present, in_block.D, strict=True):
                         at = terms[i].at(channel)
-                        D[i][k, at, at] += X.T @ wX_of_term
+                        D[i][block, at, at] += of_term
 
         for i, first in enumerate(original):
             if i != first:
-                C[:, :, where[i]] = C[:, :, where[first]]
-                d[:, where[i]] = d[:, where[first]]
+                for products in (C, total.C):
+                    products[..., where[i]] = products[..., where[first]]
+                for products in (d, total.d):
+                    products[..., where[i]] = products[..., where[first]]
                 D[i] = D[first]
-        return _Crossed(terms=terms, where=where, C=C, d=d, D=D)
+                total.D[i] = total.D[first]
+        return _Crossed(terms=terms, where=where, C=C, d=d, D=D, total=total)
+
+    def _term_products(
+        self, channel: int, terms: Sequence[ColumnGroup], rows: slice
+    ) -> _TermProducts:
+        """Return products of terms with a channel's columns, over some of its rows."""
+        base = self._columns[channel].all_groups
+        sizes = [term.columns[channel].shape[1] for term in terms]
+        edges = np.cumsum(sizes)[:-1]
+        C = np.zeros((sum(group.shape[1] for group in base), sum(sizes)))
+        d = np.zeros(sum(sizes))
+        D = [np.zeros((size, size)) for size in sizes]
+        for tile in tiles(rows.stop, rows.start):
+            X_each = [term.columns[channel][tile] for term in terms]
+            wX = _weighted(self.weight[channel][tile], X_each)
+            if base:  # none above a cut-off
+                C += np.vstack([B[tile].T @ wX for B in base])
+            d += self.rows.y[channel][tile] @ wX
+            wX_each = np.split(wX, edges, axis=1)
+            for of_term, X, wX_of_term in zip(D, X_each, wX_each, strict=True):
+                of_term += X.T @ wX_of_term
+        return _TermProducts(C=C, d=d, D=tuple(D))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TermProducts:
+    """Products of m columns of terms over some rows of a channel.
+
+    Attributes
+    ----------
+    C : (p_c, m) or (p_c + s, m) array
+        With the base, and as long as they are not out with the log's own columns.
+    d : (m,) array
+        With the rows.
+    D : tuple of (k, k) arrays
+        Of each term with itself.
+    """
+
+    C: Array
+    d: Array
+    D: tuple[Array, ...]
+
+    def __add__(self, other: _TermProducts) -> _TermProducts:
+        """Return the products of the rows of both."""
+        return _TermProducts(
+            C=self.C + other.C,
+            d=self.d + other.d,
+            D=tuple(a + b for a, b in zip(self.D, other.D, strict=True)),
+        )
+
+    def __sub__(self, other: _TermProducts) -> _TermProducts:
+        """Return the products of the rows that the other ones do not have."""
+        return _TermProducts(
+            C=self.C - other.C,
+            d=self.d - other.d,
+            D=tuple(a - b for a, b in zip(self.D, other.D, strict=True)),
+        )
+
+    def without_own(self, own: _Eliminated | None) -> _TermProducts:
+        """Return the products with the log's own columns eliminated."""
+        if own is None:
+            return self
+        p = own.base.shape[1]
+        halved = own.halved(self.C[p:])
+        edges = np.cumsum([len(of_term) for of_term in self.D])[:-1]
+        return _TermProducts(
+            C=self.C[:p] - own.base.T @ halved,
+            d=self.d - own.y @ halved,
+            D=tuple(
+                of_term - part.T @ part
+                for of_term, part in zip(
+                    self.D, np.split(halved, edges, axis=1), strict=True
+                )
+            ),
+        )
 
 
 class _Products(NamedTuple):
@@ -549,22 +874,17 @@ class _Products(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class _Crossed:
-    """Products of terms with the model's columns, the rows and themselves, by block."""
+    """Products of terms with the model's columns, the rows and themselves.
+
+    Those of a block are what all rows have more than all other blocks.
+    """
 
     terms: Sequence[ColumnGroup]
     where: list[slice]
     C: Array  # (blocks, p, m)
     d: Array  # (blocks, m)
     D: list[Array]  # (blocks, k, k) of each term
-
-    @cached_property
-    def total(self) -> _Total:
-        """The products of all blocks."""
-        return _Total(
-            C=self.C.sum(axis=0),
-            d=self.d.sum(axis=0),
-            D=[of_term.sum(axis=0) for of_term in self.D],
-        )
+    total: _Total
 
 
 class _Total(NamedTuple):

@@ -164,6 +164,7 @@ class SelectionProblem:
             block=(*blocks_below, *stage.high.block, *blocks_of_drive),
             blocks=len(kept_rows.fold),
             views=tuple(_views(channel, n, stage.drive) for channel in range(len(y))),
+            log_of_block=kept_rows.log_of_block,
         )
         rms_left = [
             np.sqrt(np.mean(of_channel**2)) if len(of_channel) else 1.0
@@ -385,12 +386,9 @@ class Model:
     def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> LinearModel:
         """Return the model, or the base and some terms, under another noise."""
         chosen = self.terms if terms is None else terms
-        parts = [
-            *self._base,
-            *(term.part for term in chosen),
-            *noise.slow(self.ground.stage),
-        ]
-        return LinearModel(self.ground.rows, parts, noise.weight)
+        parts = [*self._base, *(term.part for term in chosen)]
+        slow_noise = noise.slow(self.ground.stage)
+        return LinearModel(self.ground.rows, parts, noise.weight, slow_noise)
 
     def beside(self, *terms: Term) -> LinearModel:
         """Return the model without some terms, the noise as it is."""

@@ -12,11 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from seqid_cli.discover.candidates import CandidateColumns
 from seqid_cli.discover.select.linear import LinearModel
-from seqid_cli.discover.select.rows import ALIKE, ColumnGroup, Observations
+from seqid_cli.discover.select.rows import (
+    ALIKE,
+    ColumnGroup,
+    LogColumns,
+    Observations,
+)
 from seqid_cli.typing import Array, Index
 
 ROUNDS = 3
@@ -38,7 +42,7 @@ class Noise:
     sigma: Array
     weight: tuple[Array, ...]
 
-    def slow(self, stage: CandidateColumns) -> list[ColumnGroup]:
+    def slow(self, stage: CandidateColumns) -> list[LogColumns]:
         """Return the part of it that is slower than a block of time, by channel."""
         n = stage.rows.n
         groups = []
@@ -80,7 +84,7 @@ def settled(
         noise = _of_residual(
             linear.residual(), noise.sigma, windows, stage, rows.shared
         )
-        linear = LinearModel(rows, [*parts, *noise.slow(stage)], noise.weight)
+        linear = LinearModel(rows, parts, noise.weight, noise.slow(stage))
     return linear, noise
 
 
@@ -135,7 +139,7 @@ def slow_noise(
     *,
     slow: float = 0.3,
     waves: int = 4,
-) -> ColumnGroup:
+) -> LogColumns:
     """Return torque noise that is slower than a block of time, of 1/f power.
 
     It is an offset and cosines. Each log has its own `waves` functions, whose torque is
@@ -154,9 +158,10 @@ def slow_noise(
 
     power = 1.0 / np.maximum(order, 0.5)
     variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
-    return ColumnGroup(
-        columns={channel: np.asarray(block_diag(*by_log))},
-        precision=np.diag(np.tile(1.0 / variance, len(rows.scenes))),
+    return LogColumns(
+        channel=channel,
+        columns=np.concatenate(by_log),
+        precision=np.diag(1.0 / variance),
     )
 
 

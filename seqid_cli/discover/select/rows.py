@@ -41,12 +41,22 @@ class Observations:
         Number of blocks.
     views : tuple of int
         How many channels show the same as each does; empty where each shows its own.
+    log_of_block : (blocks,) index array, optional
+        The log of each block, ascending; all blocks are of one log if left out.
     """
 
     y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
     views: tuple[int, ...] = ()
+    log_of_block: Index | None = None
+
+    @cached_property
+    def log(self) -> Index:
+        """The log (blocks,) of each block."""
+        if self.log_of_block is None:
+            return np.zeros(self.blocks, dtype=np.intp)
+        return self.log_of_block
 
     @cached_property
     def independent(self) -> Array:
@@ -65,6 +75,19 @@ class Observations:
     def block_slices(self) -> tuple[tuple[slice, ...], ...]:
         """The rows of every block, channel by channel."""
         return tuple(self._block_slices_of(block) for block in self.block)
+
+    @cached_property
+    def log_slices(self) -> tuple[tuple[slice, ...], ...]:
+        """The rows of every log, channel by channel."""
+        n_logs = int(self.log.max(initial=0)) + 1
+        first_block = np.searchsorted(self.log, np.arange(n_logs + 1))
+        slices = []
+        for block in self.block:
+            edges = np.searchsorted(block, first_block)
+            slices.append(
+                tuple(slice(int(start), int(stop)) for start, stop in pairwise(edges))
+            )
+        return tuple(slices)
 
     def _block_slices_of(self, block: Index) -> tuple[slice, ...]:
         edges = np.searchsorted(block, np.arange(self.blocks + 1))
@@ -110,6 +133,25 @@ class ColumnGroup:
     def torque(self, channel: int, theta: Array) -> Array:
         """Return the torque (M_c,) N m of coefficients (k,) at a channel."""
         return np.asarray(self.columns[channel] @ theta[self.at(channel)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogColumns:
+    """Columns of a channel with coefficients of their own in each log.
+
+    Attributes
+    ----------
+    channel : int
+        The channel.
+    columns : (M_c, s) array
+        Torque per unit coefficient [N m; N where prismatic].
+    precision : (s, s) array
+        Inverse covariance of a log's coefficients beforehand, diagonal.
+    """
+
+    channel: int
+    columns: Array
+    precision: Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -76,6 +76,14 @@ class Rows:
         """Number of joints."""
         return self.scenes[0].robot.n
 
+    @property
+    def log_of_block(self) -> Index:
+        """The data set (blocks,) of each block."""
+        log = np.zeros(len(self.fold), dtype=np.intp)
+        first_blocks = [int(block[0]) for block in self.block if len(block)]
+        log[first_blocks[1:]] = 1
+        return np.cumsum(log)
+
     def count(self, joint: int) -> int:
         """Return the number of rows of a joint."""
         return sum(int(used[:, joint].sum()) for used in self.used)

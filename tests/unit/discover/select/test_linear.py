@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import PriorUpdate
-from seqid_cli.discover.select.rows import ColumnGroup, Observations
+from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
 from tests import Array
 
 BLOCKS = 4
@@ -164,3 +164,90 @@ def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken() -> None:
     assert again.visible_share == pytest.approx(gained.visible_share, rel=1e-6)
     np.testing.assert_allclose(again.coefficients, gained.coefficients, rtol=1e-6)
     np.testing.assert_allclose(again.covariance, gained.covariance, rtol=1e-6)
+
+
+LOG_OF_BLOCK = np.array([0, 0, 1, 1])
+OWN_SIZE = 2
+
+
+def models_of_two_logs() -> tuple[LinearModel, LinearModel]:
+    """Return one model twice: logs have columns of their own, or as any others."""
+    rows = replace(ROWS, log_of_block=LOG_OF_BLOCK)
+    precision = np.diag([0.6, 2.5])
+    of_logs = []
+    as_others = []
+    for channel, length in enumerate(LENGTHS):
+        own = np.random.default_rng(7 + channel).standard_normal((length, OWN_SIZE))
+        of_logs.append(LogColumns(channel=channel, columns=own, precision=precision))
+        log = LOG_OF_BLOCK[rows.block[channel]]
+        for number in (0, 1):
+            columns = {channel: own * (log == number)[:, None]}
+            as_others.append(ColumnGroup(columns=columns, precision=precision))
+    parts = [*BASE, TERM]
+    return (
+        LinearModel(rows, parts, WEIGHT, of_logs),
+        LinearModel(rows, [*parts, *as_others], WEIGHT),
+    )
+
+
+def test_what_each_log_has_for_itself_costs_no_parameters() -> None:
+    """Eliminated, it changes neither what is left out nor what a term is worth."""
+    model, written_out = models_of_two_logs()
+    size = sum(part.size for part in (*BASE, TERM))
+    assert model.size == size < written_out.size
+
+    other = ColumnGroup(columns=columns(9, 3), precision=np.diag([0.4, 1.0, 2.0]))
+    for of_model in (
+        lambda x: x.theta[:size],
+        lambda x: x.covariance[:size, :size],
+        lambda x: x.jackknife(slice(0, size)),
+        lambda x: np.concatenate(x.residual()),
+        lambda x: np.concatenate(x.left_out),
+        lambda x: np.concatenate(x.without(TERM).left_out),
+        lambda x: x.evidence - x.without(TERM).evidence,
+        lambda x: x.varied(TERM),
+        lambda x: x.fits([other, TERM])[0].log_bayes_factor,
+        lambda x: x.fits([other])[0].covariance,
+        lambda x: x.scores([other])[0].block_gains,
+        lambda x: x.scores([other])[0].file_gain,
+        lambda x: x.again(TERM)[1].block_gains,
+    ):
+        np.testing.assert_allclose(of_model(model), of_model(written_out), rtol=1e-7)
+
+
+def test_a_whole_log_is_predicted_by_the_others() -> None:
+    model, _ = models_of_two_logs()
+    left = model.left_out_of(np.arange(2))
+    for log in (0, 1):
+        of_log = [LOG_OF_BLOCK[block] == log for block in ROWS.block]
+        A, b = model.prior.copy(), np.zeros(model.size)
+        for channel in (0, 1):
+            X = np.hstack(
+                [
+                    part.columns[channel]
+                    if channel in part.columns
+                    else np.zeros((LENGTHS[channel], part.size))
+                    for part in model.parts
+                ]
+            )
+            own = model.of_logs[channel]
+            others = ~of_log[channel]
+            noise = np.diag(1.0 / WEIGHT[channel][others])
+            S = own.columns[others]
+            noise += S @ np.linalg.inv(own.precision) @ S.T
+            A += X[others].T @ np.linalg.solve(noise, X[others])
+            b += X[others].T @ np.linalg.solve(noise, ROWS.y[channel][others])
+        theta = np.linalg.solve(A, b)
+        for channel in (0, 1):
+            X = np.hstack(
+                [
+                    part.columns[channel]
+                    if channel in part.columns
+                    else np.zeros((LENGTHS[channel], part.size))
+                    for part in model.parts
+                ]
+            )
+            expected = (ROWS.y[channel] - X @ theta)[of_log[channel]]
+            np.testing.assert_allclose(
+                left[channel][of_log[channel]], expected, rtol=1e-6
+            )

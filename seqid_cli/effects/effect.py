@@ -376,6 +376,13 @@ class Effect:
     # Whether a part of that is the same both ways, which gravity may have taken up.
     even: bool = False
 
+    def shows(self, scenes: Scenes, joint: AnyJoint, settings: Settings) -> bool:
+        """Return whether the logs show the effect where a model is judged.
+
+        It is asked before a refinement adds it: below the cut-off, often enough.
+        """
+        return True
+
     # ---- Further declarations: how its settings are searched ------------------------
 
     def axes(self, scenes: Scenes, joint: AnyJoint) -> GridAxes:

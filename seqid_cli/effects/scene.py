@@ -251,13 +251,19 @@ def top_speed(scenes: Scenes, joint: int) -> float:
     return max(float(np.max(np.concatenate(speeds), initial=0.0)), 1e-6)
 
 
+def positions(scenes: Scenes, joint: int) -> tuple[float, float]:
+    """Return a joint's lowest and highest position, rad (m if prismatic)."""
+    usable = [scene.motion.q[scene.motion.usable, joint] for scene in scenes]
+    q = np.concatenate(usable)
+    if not len(q):
+        return 0.0, 0.0
+    return float(q.min()), float(q.max())
+
+
 def travel(scenes: Scenes, joint: int) -> float:
     """Return the range of a joint's positions, rad (m if prismatic), at least 1e-6."""
-    usable = [scene.motion.q[scene.motion.usable, joint] for scene in scenes]
-    positions = np.concatenate(usable)
-    if not len(positions):
-        return 1e-6
-    return max(float(np.ptp(positions)), 1e-6)
+    low, high = positions(scenes, joint)
+    return max(high - low, 1e-6)
 
 
 def session(scenes: Scenes) -> float:

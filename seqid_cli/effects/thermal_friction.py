@@ -12,7 +12,9 @@ that share no clock count as begun equally cold.
 
 A time constant is told from a drift, or from any other change of friction, only where
 the logs see the warm-up go by: several time constants within a log, or logs on a shared
-clock that cover one. Longer ones are not tried.
+clock that cover one. Longer ones are not tried. Shorter ones than a minute are not
+either: a gear is too heavy to warm up within seconds, and what changes in those is the
+beginning of a motion. Where a logged temperature stays what it is, nothing warms up.
 
 Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of
 industrial manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static
@@ -40,8 +42,9 @@ from seqid_cli.typing import Array
 # Time constants within one log: after three of them 95 % of the warm-up is over.
 SEVERAL = 3.0
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
-# Bounds of the time constant.
-SHORTEST_S = 5.0
+# The kilograms of a gear warm up in minutes.
+SHORTEST_S = 60.0
+SHORTEST_IN_FILES_S = 5.0  # files of before have shorter ones
 LONGEST_S = 1e5
 TIME_CONSTANTS = 8
 
@@ -51,7 +54,13 @@ class ThermalFriction(FrictionEffect):
 
     name = "thermal_friction"
     settings = (
-        Setting("warm_up_time", "s", low=SHORTEST_S, high=LONGEST_S, logarithmic=True),
+        Setting(
+            "warm_up_time",
+            "s",
+            low=SHORTEST_IN_FILES_S,
+            high=LONGEST_S,
+            logarithmic=True,
+        ),
         Setting("logged", "1", low=0.0, high=1.0, continuous=False),
         Setting(
             "reference_temperature", "degC", low=-60.0, high=200.0, continuous=False
@@ -109,7 +118,8 @@ class ThermalFriction(FrictionEffect):
         With a logged temperature the time constant does nothing.
         """
         span = session(scenes)
-        if _is_logged(scenes, joint):
+        change = _logged_change(scenes, joint)
+        if change is not None and change >= LEAST_KELVIN:
             return {
                 "warm_up_time": [float(np.clip(span, SHORTEST_S, LONGEST_S))],
                 "logged": [1.0],
@@ -118,8 +128,9 @@ class ThermalFriction(FrictionEffect):
 
         longest = longest_warm_up(scenes)
         times = []
-        if longest >= SHORTEST_S:
-            constants = np.geomspace(0.04 * span, longest, TIME_CONSTANTS)
+        if longest >= SHORTEST_S and change is None:
+            shortest = max(0.04 * span, SHORTEST_S)
+            constants = np.geomspace(shortest, longest, TIME_CONSTANTS)
             times = np.clip(constants, SHORTEST_S, LONGEST_S).tolist()
         return {
             "warm_up_time": times,
@@ -132,7 +143,9 @@ class ThermalFriction(FrictionEffect):
     ) -> bool:
         """Return whether the logs cover the time constant as well."""
         longest = longest_warm_up(scenes)
-        covered = settings["logged"] or settings["warm_up_time"] <= longest
+        covered = (
+            settings["logged"] or SHORTEST_S <= settings["warm_up_time"] <= longest
+        )
         return bool(covered) and super().plausible(scenes, joint, settings, c)
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
@@ -167,21 +180,23 @@ def _celsius(scene: Scene, joint: int) -> Array:
     return np.nan_to_num(scene.temperature[:, joint], nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _is_logged(scenes: Scenes, joint: int) -> bool:
-    """Return whether every log has a joint's temperature, and it changes enough.
+def _logged_change(scenes: Scenes, joint: int) -> float | None:
+    """Return by how many kelvin a joint's temperature changes, where all logs have it.
 
-    A change from the temperature of the friction trials counts as well.
+    A change from the temperature of the friction trials counts as well. None where a
+    log has no temperature, or none that can be.
     """
     of_logs = [
         scene.temperature[:, joint] for scene in scenes if scene.temperature is not None
     ]
     if len(of_logs) < len(scenes):
-        return False
+        return None
 
     celsius = np.concatenate(of_logs)
     is_physical = np.all((celsius > -60.0) & (celsius < 200.0))
-    change = np.ptp(np.append(celsius, _reference(scenes, joint)))
-    return bool(is_physical and change >= LEAST_KELVIN)
+    if not is_physical:
+        return None
+    return float(np.ptp(np.append(celsius, _reference(scenes, joint))))
 
 
 def _reference(scenes: Scenes, joint: int) -> float:

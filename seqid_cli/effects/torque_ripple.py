@@ -39,7 +39,7 @@ from seqid_cli.effects.effect import (
     amplitude_and_phase,
 )
 from seqid_cli.effects.law import Law
-from seqid_cli.effects.scene import Scene, Scenes
+from seqid_cli.effects.scene import Scene, Scenes, travel
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -235,9 +235,15 @@ FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
 CYCLES_IN_RANGE = 2.0
+RESOLVED = 0.4  # of the sampling rate, up to which waves are told apart
 # Of the best gain, from which a whole number is taken.
 WHOLE = 0.98
 WHOLE_IF_SPARSE = 0.9
+# Fine waves that a joint must go through, and that its range must have: lines are
+# looked for by the hundred.
+FEWEST_WAVES = 20.0
+FEWEST_IN_RANGE = 10.0
+LEAST_TRAVEL = 0.1  # rad: with less a joint is only shaken
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
@@ -283,9 +289,14 @@ class TorqueRipple(Effect):
         speed = max(usual_speed(scene, joint) for scene in scenes)
         slides = _slides(scenes[0], joint)
 
+        resolved_hz = RESOLVED * min(scene.motion.rate_hz for scene in scenes)
+
+        def is_gone_through(cycles: float) -> bool:
+            return goes_through(scenes, joint, cycles, resolved_hz)
+
         # The spectrum over position does not reach these where logs are fast.
         for order in USUAL:
-            if order * gear >= FINE:
+            if order * gear >= FINE and is_gone_through(order * gear):
                 yield {"order": order, "law": 0.0, "lag": 0.0}
 
         for law, lag, profile in _profiles(scenes, joint, residual):
@@ -302,8 +313,14 @@ class TorqueRipple(Effect):
                 if not is_clear and few_waves_count:
                     is_clear = clearness(profile, lowest, cycles) > CLEAR
                 is_turned = lag == 0.0 or cycles * lag * speed > TURNED
-                if is_clear and is_turned:
+                if is_clear and is_turned and is_gone_through(cycles):
                     yield {"order": order, "law": float(law), "lag": lag}
+
+    def shows(self, scenes: Scenes, joint: int, settings: Settings) -> bool:
+        """Return whether the joint goes through enough waves below the cut-off."""
+        cycles = settings["order"] * abs(float(scenes[0].gear[joint]))
+        cutoff_hz = min(scene.motion.lowpass.cutoff_hz for scene in scenes)
+        return goes_through(scenes, joint, cycles, cutoff_hz)
 
     def _whole_if_as_good(self, profile: Profile, order: float, gear: float) -> float:
         """Return a whole number of cycles per motor turn where it explains as much."""
@@ -409,8 +426,42 @@ def highest_order(scenes: Scenes, joint: int) -> float:
         if encoder_step > 0.0:
             limits.append(1.0 / encoder_step)
         if speed > 0.0:
-            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / max(speed, 1e-6))
+            resolved_hz = RESOLVED * scene.motion.rate_hz
+            limits.append(resolved_hz * 2 * np.pi / max(speed, 1e-6))
     return min(limits)
+
+
+def goes_through(scenes: Scenes, joint: int, cycles: float, highest_hz: float) -> bool:
+    """Return whether a joint goes through enough fine waves at speeds that show them.
+
+    They must be many in its range as well: of a joint that is only shaken a few of them
+    follow any function of the position. Of few waves per turn it is their clearness
+    that counts.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    joint : int
+    cycles : float
+        Waves per turn of the joint (per 2 pi m of a slide).
+    highest_hz : float
+        Waves per second from which on they do not show.
+    """
+    if cycles < FINE or _slides(scenes[0], joint):
+        return True
+    travelled = travel(scenes, joint)
+    has_few = cycles * travelled / (2 * np.pi) < FEWEST_IN_RANGE
+    if has_few or travelled < LEAST_TRAVEL:
+        return False
+
+    total = 0.0
+    for scene in scenes:
+        motion = scene.motion
+        speed = np.abs(motion.dq[:, joint])
+        waves_per_s = cycles * speed / (2 * np.pi)
+        shows = motion.moving[:, joint] & (waves_per_s <= highest_hz)
+        total += float(waves_per_s[shows].sum()) / motion.rate_hz
+    return total >= FEWEST_WAVES
 
 
 def _slides(scene: Scene, joint: int) -> bool:

@@ -96,17 +96,32 @@ def times(scenes: list[Scene]) -> list[float]:
 
 
 def test_a_warm_up_longer_than_the_log_is_not_tried() -> None:
-    """A log of 6 s tells no time constant: several of them must go by."""
+    """A log of 30 s tells no time constant: several of them must go by, and none is
+    shorter than a minute.
+    """
     effect = ThermalFriction()
-    short = [scene_of(wander(6.0))]
+    short = [scene_of(wander(30.0))]
     assert times(short) == []
-    settings = {"warm_up_time": 11.0, "logged": 0.0, "reference_temperature": 0.0}
+    settings = {"warm_up_time": 70.0, "logged": 0.0, "reference_temperature": 0.0}
     assert not effect.plausible(short, 0, settings, np.ones(2))
 
-    long = [scene_of(wander(60.0))]
-    assert 19.0 < max(times(long)) <= 20.0
+    long = [scene_of(wander(240.0))]
+    assert min(times(long)) >= 60.0
+    assert 79.0 < max(times(long)) <= 80.0
     assert effect.plausible(long, 0, settings, np.ones(2))
-    assert not effect.plausible(long, 0, {**settings, "warm_up_time": 30.0}, np.ones(2))
+    for seconds in (90.0, 30.0):
+        other = {**settings, "warm_up_time": seconds}
+        assert not effect.plausible(long, 0, other, np.ones(2))
+
+
+def test_a_temperature_that_stays_leaves_no_warm_up(trials: list[Scene]) -> None:
+    """Nothing warms up by the clock while the logged temperature stays the same."""
+    steady = [
+        replace(scene, temperature=np.full((scene.samples, 2), 31.0))
+        for scene in trials
+    ]
+    assert times(trials)
+    assert times(steady) == []
 
 
 def test_logs_on_one_clock_cover_a_warm_up_together(trials: list[Scene]) -> None:

@@ -96,6 +96,46 @@ def test_a_ripple_that_comes_late_is_found_both_ways() -> None:
     assert best == {"order": 2.0, "law": 0.0, "lag": 0.015}
 
 
+def test_a_joint_that_hardly_moves_goes_through_too_few_waves() -> None:
+    """Of 1970 waves per turn 0.03 rad have nine, however often they come by."""
+    effect = TorqueRipple()
+    fine = {"order": 1970.0 / GEAR[0], "law": 0.0, "lag": 0.0}
+    usual = {**fine, "order": 1.0}
+    hardly = [scene_of(wander(60.0, amplitude=0.008))]
+    assert np.ptp(hardly[0].motion.q[:, 0]) < 0.04
+    assert not effect.shows(hardly, 0, fine)
+    assert not effect.shows(hardly, 0, usual)
+    residual = [np.random.default_rng(0).normal(size=hardly[0].motion.q.shape)]
+    assert not [*effect.grid(hardly, 0, residual)]
+
+    far = [scene_of(wander(60.0, amplitude=1.5))]
+    assert effect.shows(far, 0, usual)
+    assert not effect.shows(far, 0, {**fine, "order": 3e5 / GEAR[0]})  # too fast
+
+
+def test_friction_over_the_position_is_held_where_no_log_was() -> None:
+    effect = CATALOGUE["position_dependent_friction"]
+    scene = scene_of(wander(12.0, amplitude=0.5))
+    settings = next(iter(effect.grid([scene], 0, [])))
+    q = scene.motion.q[:, 0]
+    assert settings["lowest"] == pytest.approx(q.min())
+    assert settings["highest"] == pytest.approx(q.max())
+
+    wider = scene_of(wander(12.0, amplitude=1.5))
+    columns = effect.columns(wider, 0, settings)[0]
+    q = wider.motion.q[:, 0]
+    above = q > settings["highest"]
+    assert above.any()
+    sign = wider.sign[:, 0]
+    at_edge = np.cos(2 * np.pi * settings["highest"] / settings["period"])
+    np.testing.assert_allclose(columns[above, 0], sign[above] * at_edge, atol=1e-9)
+
+    # Files of before have no such range.
+    of_before = {name: settings[name] for name in ("period", "waves")}
+    columns = effect.columns(wider, 0, of_before)[0]
+    np.testing.assert_allclose(columns[:, 0], sign * np.cos(q), atol=1e-9)
+
+
 def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> None:
     """Two waves per turn of a large gear are above what most samples of a fast log
     resolve.

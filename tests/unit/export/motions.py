@@ -237,7 +237,15 @@ CASES: Mapping[str, Sequence[Case]] = {
     "presliding_hysteresis": [case(1, 2.0, presliding_distance=0.01)],
     "friction_change": [case(0, 0.4, -0.2)],
     "position_dependent_friction": [
-        case(1, 0.3, -0.2, 0.1, 0.2, period=2 * np.pi, waves=2.0)
+        case(1, 0.3, -0.2, 0.1, 0.2, period=2 * np.pi, waves=2.0),
+        case(
+            1,
+            *(0.3, -0.2, 0.1, 0.2),
+            period=2 * np.pi,
+            waves=2.0,
+            lowest=-0.4,
+            highest=0.3,
+        ),
     ],
     "torque_constant": [case(0, 0.05)],
     "torque_saturation": [case(0, 1e-4, around=1e-4), case(1, 1e-4, around=0.0)],

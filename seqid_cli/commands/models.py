@@ -55,6 +55,18 @@ _HELD_OUT = (
     f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p inertia.json"
 )
 
+ExplainOption = Annotated[
+    str | None,
+    typer.Option(
+        "--explain",
+        metavar="JOINT",
+        help=(
+            "Tell of one joint what was tried there, what was taken and what was not,"
+            " and why."
+        ),
+    ),
+]
+
 app = command_app()
 
 
@@ -180,17 +192,7 @@ def diagnose(
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
     strict: StrictOption = False,
-    explain: Annotated[
-        str | None,
-        typer.Option(
-            "--explain",
-            metavar="JOINT",
-            help=(
-                "Tell of one joint what was tried there, what was taken and what was"
-                " not, and why."
-            ),
-        ),
-    ] = None,
+    explain: ExplainOption = None,
     set_values: SetOption = None,
     show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
@@ -323,6 +325,7 @@ def refine(
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
     strict: StrictOption = False,
+    explain: ExplainOption = None,
     set_values: SetOption = None,
     show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
@@ -342,6 +345,8 @@ predicted better.
         "refine", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     ) as run:
         robot = run.robot_file(robot, logs)
+        if explain is not None:
+            _check_joint(explain, robot)
         options = discover.RefineOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
@@ -364,7 +369,7 @@ predicted better.
     run.screen.document(file)
     loop = file.closed_loop
     assert loop is not None  # what a refinement writes
-    show_refinement(run.screen, loop, file)
+    show_refinement(run.screen, loop, file, explain)
     show_motion(run.screen, loop.motion, file.robot)
     run.show_output(
         output, f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"

@@ -66,7 +66,7 @@ class EchoSettings(Group):
     max_friction: float = setting(
         0.025,
         unit="of the torque's RMS",
-        reason="Coulomb friction, with its error, below which a torque is an echo of the"
+        reason="friction, with its error, below which a torque is an echo of the"
         " command; 0: none is",
         low=0.0,
         high=1.0,

@@ -49,9 +49,13 @@ class RefinementRound(Struct, kw_only=True):
     where it was refused. Gains are shares of the squared error that the effect took
     away where its joints slide: `training_gain`, on left-out blocks of the logs that
     were fitted, decided; `held_out_gain` was looked at afterwards, and `confirmed` says
-    whether it is certainly more than nothing. Intervals are 95 % (empty: not known),
-    `interval` that of the held-out gain. `evidence` and `rivals` are of the logs that
-    were fitted, beside the effects of the rounds before.
+    whether it is certainly more than nothing. Both are within the positions and speeds
+    at which friction was identified; `gain_outside` is the held-out gain beyond them,
+    null where no log goes there. Intervals are 95 % (empty: not known), `interval` that
+    of the held-out gain. `whole_logs_gain` is the same on whole logs that were left out
+    of the fit one after the other, at positions that the others reach, `gain_by_log`
+    that of each; it is null where fewer than three logs tell. `evidence` and `rivals`
+    are of the logs that were fitted, beside the effects of the rounds before.
     """
 
     effect: str
@@ -61,8 +65,13 @@ class RefinementRound(Struct, kw_only=True):
     confirmed: bool | None = None
     training_gain: float | None = None
     training_interval: list[float] = []
+    whole_logs_gain: float | None = None
+    whole_logs_interval: list[float] = []
+    gain_by_log: dict[str, float] = {}
     held_out_gain: float | None = None
     interval: list[float] = []
+    gain_outside: float | None = None
+    interval_outside: list[float] = []
     reason: str = ""
     evidence: EvidenceEntry | None = None
     rivals: list[RivalEntry] = []

@@ -9,7 +9,7 @@ from typing import Literal
 
 from seqid_cli.params.bands_schema import BandCalibration
 from seqid_cli.params.base import Document, Struct
-from seqid_cli.params.evidence_schema import RefinementRound
+from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
 from seqid_cli.units import unit_of
 
 SCHEMA = "seqid/params@1"
@@ -474,7 +474,8 @@ class ClosedLoop(Struct, kw_only=True):
 
     `rounds` are the effects that the model has, in the order in which they were added;
     `unconfirmed` those that were added and taken out again, as the held-out logs do not
-    confirm them; `refused` those that were tried and did not help. The `verdict` is
+    confirm them; `refused` those that were tried and did not help; `tried`, by joint,
+    what was looked at last beside all that was found there. The `verdict` is
     poor if an effect of `rounds` is not confirmed or one of `verdicts` is poor, which
     say what is wrong with the logs. `stopped_at` is null where no limit of rounds has
     stopped the search. `before` is by the model as it came in, `after` by the one that
@@ -490,6 +491,7 @@ class ClosedLoop(Struct, kw_only=True):
     rounds: list[RefinementRound]
     unconfirmed: list[RefinementRound] = []
     refused: list[RefinementRound] = []
+    tried: dict[str, list[RivalEntry]] = {}
     stopped_at: StoppedAt | None = None
     before: dict[str, JointRmse] = {}
     after: dict[str, JointRmse] = {}

@@ -38,6 +38,7 @@ from tests.unit.params.documents import (
     friction_file,
     full_file,
     inertia_file,
+    rival,
 )
 from tests.unit.params.generate import json_schema
 
@@ -215,6 +216,45 @@ def test_what_the_user_sees(rig: Rig, library: Library, name: str) -> None:
         loop.verdict,
         loop.rounds,
     )
+
+
+def test_a_joint_is_explained(rig: Rig, library: Library) -> None:
+    """What was tried there, what each log says of it, and why it was not taken."""
+    disproved = structs.replace(
+        LOOP.refused[0],
+        joint="elbow",
+        reason="does not certainly predict whole logs that were left out",
+        whole_logs_gain=-0.2,
+        whole_logs_interval=[-0.7, 0.1],
+        gain_by_log={"a.parquet": 0.1, "walk.parquet": -0.5},
+    )
+    library.loop = structs.replace(
+        LOOP,
+        refused=[disproved],
+        tried={"elbow": [rival("backlash", 3.0, "log evidence of 3.0, as of noise")]},
+    )
+    library.effects = [EFFECT]
+    plain = rig.run(*BASE).out
+    done = rig.run(*BASE, "--explain", "elbow")
+    assert done.code == 0
+    assert "tried" not in plain
+    for told in (
+        "tried for stribeck at elbow",
+        "explains 97.0 % less",
+        "spring at elbow: refused: does not certainly predict whole logs",
+        "walk.parquet",
+        "tried beside that",
+        "log evidence of 3.0, as of noise",
+    ):
+        assert told in done.out
+    elsewhere = rig.run(*BASE, "--explain", "shoulder").out
+    assert "tried for" not in elsewhere
+
+
+def test_a_joint_that_the_robot_does_not_have_is_not_explained(rig: Rig) -> None:
+    done = rig.run(*BASE, "--explain", "hip")
+    assert done.code == 2
+    assert "--explain names no joint of this robot: 'hip'" in done.err
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:

@@ -9,6 +9,7 @@ from tests import ROOT
 from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
 from tests.studies import (
     bands,
+    confirmed,
     exported_effects,
     recorded,
     reduced,
@@ -34,6 +35,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "table_two": ("evidence/motion_study.md", table_two.study),
     "undeclared": ("evidence/effects_study.md", undeclared.study),
     "closed_loop": ("evidence/closed_loop_study.md", closed_loop.study),
+    "confirmed": ("evidence/closed_loop_study.md", confirmed.study),
     "coverage": ("evidence/coverage.md", coverage.study),
     "bands": ("evidence/coverage.md", bands.study),
     "unseen": ("evidence/unseen.md", unseen.study),

@@ -276,8 +276,19 @@ def _quantities(names: Sequence[str]) -> str:
     return ", ".join(names) or "nothing that was logged"
 
 
-def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
-    """Print what was added, the errors before and after, and the refined effects."""
+def show_refinement(
+    screen: Screen, loop: ClosedLoop, file: ParameterFile, joint: str | None = None
+) -> None:
+    """Print what was added, the errors before and after, and the refined effects.
+
+    Parameters
+    ----------
+    screen : Screen
+    loop : ClosedLoop
+    file : ParameterFile
+    joint : str, optional
+        Show of this joint as well what was tried there, and why it was not taken.
+    """
     added = diagnosis.nothing_added(loop)
     if loop.rounds:
         added = f"Added: {_named(loop.rounds)}"
@@ -310,7 +321,38 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
         for effect in file.stages.effects or []
     ]
     screen.values(values("effect | joint | parameters", "text text text", rows))
+    if joint is not None:
+        _explain_joint(screen, loop, file.robot, joint)
     screen.remark(*loop.notes)
+
+
+def _explain_joint(
+    screen: Screen, loop: ClosedLoop, robot: RobotId, joint: str
+) -> None:
+    """Print what was tried at a joint: its evidence, each log, and its rivals."""
+    outcomes = (
+        ("added", loop.rounds),
+        ("not kept", loop.unconfirmed),
+        ("refused", loop.refused),
+    )
+    for outcome, entries in outcomes:
+        for entry in entries:
+            if joint not in _joints_of_round(entry):
+                continue
+            name = effect_at(entry.effect, entry.joint)
+            reason = f": {entry.reason}" if entry.reason else ""
+            screen.result(f"{name}: {outcome}{reason}")
+            screen.values(tables.gains_of_logs(entry))
+            _show_evidence(screen, entry.evidence, robot)
+            screen.values(tables.rivals(entry.rivals, f"tried for {name}"))
+    screen.values(tables.rivals(loop.tried.get(joint, []), "tried beside that"))
+
+
+def _joints_of_round(entry: RefinementRound) -> Collection[str | None]:
+    """Return the joints at which an effect was tried, or its evidence shows it."""
+    if entry.evidence is None:
+        return {entry.joint}
+    return {entry.joint, entry.evidence.joint, entry.evidence.of}
 
 
 def stopped_sentence(stopped: StoppedAt) -> str:

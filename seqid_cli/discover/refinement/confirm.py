@@ -103,7 +103,9 @@ def confirm(
     error_after = errors.of_model(model) if steps else error_before
     rmse_after = error_after.rmse()
     sliding_joints = [j for j in range(robot.n) if np.isfinite(rmse_after[j])]
-    gains = {names[j]: gain(error_before, error_after, [j]) for j in sliding_joints}
+    gains = {
+        names[j]: gain(error_before, error_after, [j], "both") for j in sliding_joints
+    }
 
     # The same beside what noise alone would leave.
     floor = _noise_floor(refinement, model, held_out, motion_options)
@@ -117,6 +119,7 @@ def confirm(
         rounds=rounds,
         unconfirmed=taken_out,
         refused=refinement.refused,
+        tried=refinement.tried,
         stopped_at=_stopped_at(refinement),
         before=error_before.by_joint(names),
         after=error_after.by_joint(names),
@@ -279,7 +282,8 @@ def _with_gain(
 ) -> RefinementRound:
     """Return an effect with what it gains at its joints.
 
-    It is confirmed where that is certain, and where all joints together gain as well.
+    It is confirmed where that is certain, and where all joints together gain as well:
+    both within the identified friction. What it gains beyond is told beside that.
     """
     robot = refinement.material.robot
     every_joint = list(range(robot.n))
@@ -289,10 +293,14 @@ def _with_gain(
     change = gain(error_before, error_after, joints)
     # Stages that are identified anew with an effect may make another joint worse.
     change_of_arm = gain(error_before, error_after, every_joint)
+    beyond = gain(error_before, error_after, joints, "beyond")
+    is_beyond = beyond.high > beyond.low  # there are samples
     return structs.replace(
         entry,
         held_out_gain=change.value,
         interval=change.limits,
+        gain_outside=beyond.value if is_beyond else None,
+        interval_outside=beyond.limits if is_beyond else [],
         confirmed=change.certain and change_of_arm.value > 0.0,
     )
 

@@ -11,6 +11,10 @@ With squared errors o_b before and n_b after in block b (Cochran, "Sampling Tech
 Neighbouring blocks may share their error: they are joined two by two, as long as enough
 are left, and the largest interval counts (Flyvbjerg and Petersen, J. Chem. Phys. 91,
 1989).
+
+An effect is judged where the file's friction was identified. Beyond, friction is only
+held or bent, and what that misses would hide what an effect gains, or pass for it. What
+is gained there is told apart.
 """
 
 from __future__ import annotations
@@ -18,13 +22,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from scipy.stats import t as student_t
 
 from seqid_cli.discover.select.rows import doubt_of
-from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.discover.survey.rows import BLOCK_S, MOST_OUTSIDE
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import local_effects, predict
@@ -43,6 +47,8 @@ from seqid_cli.typing import Array, Index, Mask
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
+# Samples that count: where the identified friction decides, both parts, or beyond it.
+Part = Literal["deciding", "both", "beyond"]
 # of a sum of squares: what rounding leaves of a difference of two sums is nothing
 ROUNDING = 1e-12
 
@@ -79,6 +85,17 @@ class BlockErrors(NamedTuple):
             outside=np.zeros((blocks, joints)),
             outside_samples=np.zeros((blocks, joints)),
         )
+
+    @property
+    def is_identified(self) -> Mask:
+        """Joints (n,) that the samples within the identified friction decide on.
+
+        A joint that is hardly ever within has none that do, as in the rows of the
+        selection.
+        """
+        samples = self.samples.sum(axis=0)
+        is_within = self.outside_samples.sum(axis=0) <= MOST_OUTSIDE * samples
+        return np.asarray(is_within & (samples > 0))
 
     def rmse(self) -> Array:
         """Return the RMS error (n,) N m as `predict` does; NaN where none slides."""
@@ -281,12 +298,16 @@ class WholeLogs:
         return None
 
 
-def gain(before: BlockErrors, after: BlockErrors, joints: Collection[int]) -> Gain:
+def gain(
+    before: BlockErrors,
+    after: BlockErrors,
+    joints: Collection[int],
+    part: Part = "deciding",
+) -> Gain:
     """Compare two models on the same samples at some joints.
 
-    The samples of a joint within and those beyond the identified friction are each
-    weighed by their mean squared error before: what extrapolation misses does not hide
-    what an effect gains.
+    The samples of a joint are weighed by their mean squared error before, those within
+    and those beyond the identified friction each by their own.
 
     Parameters
     ----------
@@ -294,8 +315,11 @@ def gain(before: BlockErrors, after: BlockErrors, joints: Collection[int]) -> Ga
         Of the two models.
     joints : collection of int
         Those that count.
+    part : {"deciding", "both", "beyond"}
+        Which samples count: those that decide, which are within the identified friction
+        where a joint has enough there; both parts; or those beyond that do not decide.
     """
-    squares_before, squares_after = _weighed(before, after, joints)
+    squares_before, squares_after = _weighed(before, after, joints, part)
     if not squares_before.any():
         return Gain(value=0.0, low=0.0, high=0.0)
     return gain_of(squares_before, squares_after)
@@ -327,16 +351,17 @@ def doubt(before: BlockErrors, after: BlockErrors, joints: Collection[int]) -> f
     joints : collection of int
         Those that count.
     """
-    squares_before, squares_after = _weighed(before, after, joints)
+    squares_before, squares_after = _weighed(before, after, joints, "deciding")
     return doubt_of(squares_before - squares_after)
 
 
 def _weighed(
-    before: BlockErrors, after: BlockErrors, joints: Collection[int]
+    before: BlockErrors, after: BlockErrors, joints: Collection[int], part: Part
 ) -> tuple[Array, Array]:
     """Return the squared errors (B,) of two models, in units of the mean before.
 
-    Each joint has two such means: within and beyond the identified friction.
+    Each joint has two such means: within and beyond the identified friction. One of a
+    part that does not count has no weight.
     """
     chosen = sorted(joints)
     of_before = _within_and_beyond(before.squares, before.outside, chosen)
@@ -345,6 +370,15 @@ def _weighed(
     total = of_before.sum(axis=0)
     inverse_mean = samples.sum(axis=0) / np.maximum(total, 1e-300)
     weight = np.where(total > 0.0, inverse_mean, 0.0)
+
+    is_identified = before.is_identified[chosen]
+    every = np.ones_like(is_identified)
+    counts: dict[Part, list[Mask]] = {
+        "deciding": [every, ~is_identified],
+        "both": [every, every],
+        "beyond": [~every, is_identified],
+    }
+    weight = weight * np.concatenate(counts[part])
     return of_before @ weight, of_after @ weight
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -12,6 +13,7 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement import held_out
+from seqid_cli.discover.refinement.across_logs import ResultAcrossLogs
 from seqid_cli.discover.refinement.held_out import BlockErrors, Gain, doubt, gain
 from seqid_cli.discover.refinement.reidentify import (
     RefinementData,
@@ -28,10 +30,12 @@ from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.effects.fitted import FittedEffect, as_stage
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.evidence_schema import RefinementRound
+from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
+FEWEST_OF_BODY = 2  # joints that a body at the flange, or a leaning base, must move
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 
@@ -143,6 +147,8 @@ class Refinement:
         What was tried and not added.
     untried : list of Candidate
         Effects that were found when the limit of rounds had been reached.
+    tried : dict of str to list of RivalEntry
+        By joint, what was looked at last beside all that was found there.
     notes : tuple of str
         What is to be said of the logs.
     """
@@ -153,6 +159,7 @@ class Refinement:
     steps: list[Step] = field(default_factory=list)
     refused: list[RefinementRound] = field(default_factory=list)
     untried: list[Candidate] = field(default_factory=list)
+    tried: dict[str, list[RivalEntry]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     _training_errors: dict[Refitted, BlockErrors] = field(default_factory=dict)
     _earlier_errors: dict[Refitted | int, BlockErrors] = field(default_factory=dict)
@@ -264,9 +271,13 @@ class Judgement:
     chance_probability : float
         Probability that nothing is gained there.
     is_likely : bool
-        Whether it is likelier there than not, by what is gained.
+        Whether it is likelier there than not, by what is gained, or proven.
     is_determined : bool
         Whether its coefficients are larger than their errors.
+    is_shown : bool
+        Whether the logs go through it often enough, and a body moves several joints.
+    lacking : str
+        Why its parameters do not follow from its coefficients; empty if they do.
     is_unjudged : bool
         Whether it may be there, but above the low-pass, where no model is judged.
     """
@@ -276,6 +287,8 @@ class Judgement:
     chance_probability: float
     is_likely: bool
     is_determined: bool
+    is_shown: bool
+    lacking: str
     is_unjudged: bool
 
     @property
@@ -293,6 +306,10 @@ class Judgement:
             return "the model identified anew with it is not certainly better"
         if not self.is_likely:
             return "is less likely than not"
+        if not self.is_shown:
+            return "these logs show too little of it"
+        if self.lacking:
+            return f"is not determined by these logs: {self.lacking}"
         if not self.is_determined:
             return "its coefficients are smaller than their errors"
         return ""
@@ -389,12 +406,30 @@ class CandidateModel:
         joints = joints_below(result.term.channels, self.loop.material.robot.n)
         change = gain(error_before, error_after, joints)
         probability = reality(max(change.value, result.share), result.evidence)
+        # What whole logs that were left out prove needs no odds of what is usual.
+        is_proven = isinstance(result, ResultAcrossLogs) and result.across.is_proven(
+            self.loop.material.selection_options.improvement
+        )
+        robot = self.loop.material.robot
+        effect = self.effects[number]
+        scenes = self.loop.material.ground(self.loop.model.stages).stage.scenes
+        is_shown = effect.effect.shows(scenes, effect.joint, effect.settings)
+        if effect.effect.family == "body" and effect.effect.arm:
+            # What one joint alone shows may be that joint's.
+            gaining = [
+                joint
+                for joint in joints
+                if gain(error_before, error_after, [joint]).certain
+            ]
+            is_shown = is_shown and len(gaining) >= min(FEWEST_OF_BODY, robot.n)
         return Judgement(
             change=change,
             min_gain=self.loop.material.selection_options.improvement,
             chance_probability=doubt(error_before, error_after, joints),
-            is_likely=probability > 0.5,
+            is_likely=is_proven or probability > 0.5,
             is_determined=self._size(number) > 1.0,
+            is_shown=is_shown,
+            lacking=effect.effect.lacking(robot, effect.joint),
             is_unjudged=self.effects[number].effect.wide,
         )
 
@@ -458,11 +493,25 @@ class CandidateModel:
 
 
 class Refusal(NamedTuple):
-    """An effect that is refused, how it was judged, and why."""
+    """An effect that is refused, how it was judged, and why.
+
+    Without a judgement it was not tried.
+    """
 
     result: TermResult
-    judgement: Judgement
+    judgement: Judgement | None
     reason: str
+
+    @classmethod
+    def across_logs(cls, result: ResultAcrossLogs) -> Refusal:
+        """Return the refusal of an effect that whole logs disprove."""
+        across = result.across
+        worst = across.worst
+        reason = (
+            "does not certainly predict whole logs that were left out:"
+            f" {Path(worst).name} {_in_words(across.of_each[worst])}"
+        )
+        return cls(result=result, judgement=None, reason=reason)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -505,6 +554,13 @@ class Decision:
             )
             candidate_model = candidate_model.without_each[number]
         return cls(candidate_model=candidate_model, refused=tuple(refused))
+
+
+def _in_words(share: float) -> str:
+    """Say a share of the squared error that goes."""
+    if share < 0.0:
+        return f"{percent(-share)} worse"
+    return f"{percent(share)} better at most"
 
 
 def effect_of(result: TermResult) -> Candidate:

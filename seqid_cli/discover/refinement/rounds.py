@@ -13,13 +13,18 @@ from dataclasses import replace
 import msgspec
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.evidence import evidence_of, rivals_of
+from seqid_cli.discover.evidence import evidence_of, rivals_of, tried_at
 from seqid_cli.discover.investigate import (
     Investigation,
     investigate,
     investigate_beside,
 )
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement.across_logs import (
+    FEWEST_LOGS,
+    ResultAcrossLogs,
+    across_logs,
+)
 from seqid_cli.discover.refinement.held_out import Gain, likelier
 from seqid_cli.discover.refinement.loop import (
     ALL_ALONG,
@@ -27,6 +32,7 @@ from seqid_cli.discover.refinement.loop import (
     CandidateModel,
     Decision,
     Refinement,
+    Refusal,
     Step,
     effect_of,
 )
@@ -39,12 +45,17 @@ from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.effects.fitted import Fitted, fitted_effects
 from seqid_cli.identify.prediction.predict import slides_from
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, by_log
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.working import step
+
+NOT_PROVEN = (
+    "fewer than three logs to fit: what is added cannot be proven on them, as blocks of"
+    " one log are no other logs; only the held-out logs can"
+)
 
 
 def refine(
@@ -104,6 +115,10 @@ def refine(
         investigation = _add_effects(loop, investigation)
         if options.with_unexplained:
             _add_smooth(loop, investigation)
+    for joint, name in enumerate(robot.joint_names):
+        loop.tried[name] = tried_at(investigation, robot, joint)
+    if loop.steps and len(by_log(training)) < FEWEST_LOGS:
+        loop.notes = (*loop.notes, NOT_PROVEN)
     return loop
 
 
@@ -183,12 +198,13 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
     unjudged_keys: set[Key] = set()
     waiting = [effect_of(result) for result in investigation.selection.effects]
     is_complete = True
+    found = _found(loop, investigation)
     while True:
         # What is found, and is neither in the model nor has been tried.
         earlier_effects = [*loop.model.candidates, *tried]
         new_results = [
             result
-            for result in investigation.selection.effects
+            for result in found
             if effect_of(result).key not in unjudged_keys
             and not _is_among(effect_of(result), earlier_effects)
         ]
@@ -203,11 +219,19 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         step("trying effects", loop.added, loop.added + n_left)
         hypothesis = _one_hypothesis(new_results)
         tried += [effect_of(result) for result in hypothesis]
-        waiting = [effect for effect in waiting if not _is_among(effect, tried)]
+        replaced = [
+            result.instead_of.what
+            for result in hypothesis
+            if isinstance(result.instead_of.what, Candidate)
+        ]
+        waiting = [
+            effect for effect in waiting if not _is_among(effect, [*tried, *replaced])
+        ]
         stages_before = loop.model.stages
         decision = _decided(loop, investigation, hypothesis)
         for refusal in decision.refused:
-            if refusal.judgement.is_unjudged and not refusal.judgement.gains:
+            judgement = refusal.judgement
+            if judgement and judgement.is_unjudged and not judgement.gains:
                 unjudged_keys.add(effect_of(refusal.result).key)
         _write(loop, investigation, decision)
 
@@ -229,6 +253,7 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 loop.material.options,
                 candidates=waiting,
             )
+            found = _found(loop, investigation)
             if is_complete:
                 waiting = [
                     effect_of(result) for result in investigation.selection.effects
@@ -236,12 +261,24 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
     return investigation
 
 
+def _found(
+    loop: Refinement, investigation: Investigation
+) -> tuple[ResultAcrossLogs, ...]:
+    """Return the effects that are found, each as whole logs speak for it."""
+    return tuple(
+        across_logs(result, investigation.logs, loop.material.selection_options)
+        for result in investigation.selection.effects
+    )
+
+
 def _is_among(effect: Candidate, candidates: Sequence[Candidate]) -> bool:
     """Return whether an effect is the same as one of candidates."""
     return any(effect.is_same_as(candidate) for candidate in candidates)
 
 
-def _one_hypothesis(results: Sequence[TermResult]) -> tuple[TermResult, ...]:
+def _one_hypothesis(
+    results: Sequence[ResultAcrossLogs],
+) -> tuple[ResultAcrossLogs, ...]:
     """Return the effect of the largest evidence, at all joints at which it is found.
 
     It is there once at each. One of the whole arm stands by itself.
@@ -251,7 +288,7 @@ def _one_hypothesis(results: Sequence[TermResult]) -> tuple[TermResult, ...]:
     if first.term.joint is None:
         return (first,)
 
-    at_joint: dict[int, TermResult] = {}
+    at_joint: dict[int, ResultAcrossLogs] = {}
     for result in ranked:
         term = result.term
         if term.name == first.term.name and term.joint is not None:
@@ -312,7 +349,31 @@ def quiet(
 def _decided(
     loop: Refinement,
     investigation: Investigation,
-    hypothesis: tuple[TermResult, ...],
+    hypothesis: tuple[ResultAcrossLogs, ...],
+) -> Decision:
+    """Decide which effects are added, and when they came.
+
+    What whole logs that were left out disprove is not tried.
+    """
+    min_gain = loop.material.selection_options.improvement
+    refused = []
+    proven = []
+    for result in hypothesis:
+        if result.across.is_enough and not result.across.is_proven(min_gain):
+            refused.append(Refusal.across_logs(result))
+        else:
+            proven.append(result)
+    if not proven:
+        nothing = CandidateModel(loop=loop, results=(), effects=(), keeps_stages=True)
+        return Decision(candidate_model=nothing, refused=tuple(refused))
+    decision = _decided_when(loop, investigation, tuple(proven))
+    return replace(decision, refused=(*refused, *decision.refused))
+
+
+def _decided_when(
+    loop: Refinement,
+    investigation: Investigation,
+    hypothesis: tuple[ResultAcrossLogs, ...],
 ) -> Decision:
     """Decide when effects came, and which of them are added.
 
@@ -408,6 +469,9 @@ def _round(
     term = result.term
     change = _training_gain(result)
     likely_names = () if term.smooth else named(result).others
+    across = None
+    if isinstance(result, ResultAcrossLogs) and result.across.is_enough:
+        across = result.across
     return RefinementRound(
         effect="unexplained" if term.smooth else term.name,
         joint=robot.name_of(term.joint),
@@ -415,6 +479,9 @@ def _round(
         accepted=number is not None,
         training_gain=change.value,
         training_interval=change.limits,
+        whole_logs_gain=None if across is None else across.gain.value,
+        whole_logs_interval=[] if across is None else across.gain.limits,
+        gain_by_log={} if across is None else across.of_each,
         reason=reason,
         evidence=evidence_of(investigation, robot, result),
         rivals=rivals_of(robot, result, likely_names),
@@ -423,7 +490,13 @@ def _round(
 
 def _add_smooth(loop: Refinement, investigation: Investigation) -> None:
     """Add smooth terms of no known cause where they predict left-out blocks."""
-    for result in investigation.selection.smooth:
+    options = loop.material.selection_options
+    for smooth in investigation.selection.smooth:
+        result = across_logs(smooth, investigation.logs, options)
+        if result.across.is_enough and not result.across.is_proven(options.improvement):
+            reason = Refusal.across_logs(result).reason
+            loop.refused.append(_round(loop, investigation, result, reason=reason))
+            continue
         if not _training_gain(result).certain:
             reason = "does not certainly predict left-out blocks better"
             loop.refused.append(_round(loop, investigation, result, reason=reason))

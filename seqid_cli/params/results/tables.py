@@ -248,18 +248,20 @@ def rounds(loop: ClosedLoop) -> Values:
     tried = [(item, "added") for item in loop.rounds]
     tried += [(item, "not kept") for item in loop.unconfirmed]
     tried += [(item, "refused") for item in loop.refused]
+    is_outside = any(item.gain_outside is not None for item, _ in tried)
     rows = []
     for item, outcome in tried:
-        row = (
+        row = [
             item.effect,
             item.joint or "whole arm",
             item.training_gain,
             item.training_interval,
             item.held_out_gain,
             item.interval,
-            _outcome(item, outcome),
-        )
-        rows.append(row)
+        ]
+        if is_outside:
+            row += [item.gain_outside, item.interval_outside]
+        rows.append((*row, _outcome(item, outcome)))
 
     columns = [
         Head("effect", "effect"),
@@ -268,8 +270,22 @@ def rounds(loop: ClosedLoop) -> Values:
         Head("95 % interval", "shares"),
         Head("gain held out", "share"),
         Head("95 % interval", "shares"),
-        Head("outcome", "text"),
     ]
+    if is_outside:
+        columns += [
+            Head("beyond the identified friction", "share"),
+            Head("95 % interval", "shares"),
+        ]
+    columns.append(Head("outcome", "text"))
+    return Values(columns, rows)
+
+
+def gains_of_logs(item: RefinementRound) -> Values:
+    """Return what each log says of an effect that was fitted to the others."""
+    columns = [Head("log left out", "text"), Head("gain", "share")]
+    rows: list[tuple[object, ...]] = [*item.gain_by_log.items()]
+    if item.whole_logs_gain is not None:
+        rows.append(("all together", item.whole_logs_gain))
     return Values(columns, rows)
 
 

@@ -217,6 +217,25 @@ def test_what_the_other_joints_lose_counts(other: float, *, confirmed: bool) -> 
         assert said.startswith("the other joints lose more by it")
 
 
+def test_the_identified_part_decides_and_the_other_one_is_told() -> None:
+    """Half of the error within goes; beyond, in a fifth of the rows, it may grow."""
+    rng = np.random.default_rng(3)
+    robot = SimpleNamespace(n=1, joint_names=("joint",))
+    refinement = SimpleNamespace(material=SimpleNamespace(robot=robot))
+    samples = np.full((16, 1), 100.0)
+    beyond = 5.0 * rng.gamma(0.5, 2.0, (16, 1))
+    moved = beyond * rng.uniform(0.2, 4.0, (16, 1))
+    before = BlockErrors(1.0 + beyond, samples, beyond, 0.2 * samples)
+    after = BlockErrors(0.5 + moved, samples, moved, 0.2 * samples)
+    entry = RefinementRound(effect="a", joint="joint")
+    entry = confirming._with_gain(entry, before, after, refinement)
+    assert entry.confirmed
+    assert entry.held_out_gain == pytest.approx(0.5)
+    assert entry.gain_outside == pytest.approx(1.0 - moved.sum() / beyond.sum())
+    low, high = entry.interval_outside
+    assert low < entry.gain_outside < high
+
+
 @pytest.mark.slow
 def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
     """On top of a model without the effect it takes in what the effect left."""

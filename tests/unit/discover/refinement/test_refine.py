@@ -166,7 +166,19 @@ def test_what_extrapolation_misses_hides_no_gain() -> None:
     assert not gain_of(old.squares[:, 0], new.squares[:, 0]).certain
     found = gain(old, new, [0])
     assert found.certain
-    assert found.value == pytest.approx(0.25, abs=0.05)
+    assert found.value == pytest.approx(0.5)
+    beyond = gain(old, new, [0], "beyond")
+    assert beyond.value == pytest.approx(0.0, abs=0.05)
+    assert not beyond.certain
+
+
+def test_a_joint_that_is_hardly_ever_within_counts_all_of_it() -> None:
+    rng, samples = np.random.default_rng(0), np.full((16, 1), 200.0)
+    beyond = rng.uniform(0.2, 1.8, (16, 1))
+    old = BlockErrors(0.1 + beyond, samples, beyond, 0.9 * samples)
+    new = BlockErrors(0.1 + 0.5 * beyond, samples, 0.5 * beyond, 0.9 * samples)
+    assert gain(old, new, [0]).value == pytest.approx(0.45, abs=0.01)
+    assert gain(old, new, [0], "beyond") == Gain(0.0, 0.0, 0.0)
 
 
 def test_a_certain_loss_at_one_joint_is_seen() -> None:

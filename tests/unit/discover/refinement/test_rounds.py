@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,6 +126,8 @@ class Round:
                 is_likely=True,
                 is_determined=self.sizes.get(effect.settings.get("waves", 0.0), 9.0)
                 > 1.0,
+                is_shown=True,
+                lacking="",
                 is_unjudged=False,
             )
             for effect, gain in zip(self.effects, gains, strict=True)
@@ -157,6 +160,25 @@ def test_an_effect_that_is_not_worth_it_at_one_joint_is_refused_there_alone() ->
     ((refused, _, reason),) = done.refused
     assert refused.joint == 1
     assert reason == "the model identified anew with it is not certainly better"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"is_shown": False}, "these logs show too little of it"),
+        (
+            {"lacking": "no motion tells the rotor"},
+            "is not determined by these logs: no motion tells the rotor",
+        ),
+    ],
+)
+def test_what_the_logs_cannot_show_is_refused(
+    changes: dict[str, Any], reason: str
+) -> None:
+    law = CATALOGUE["joint_elasticity"]
+    (sound,) = Round((Candidate(law, 0, {}),), {0: 0.5}, {}).judgements
+    assert sound.fault == ""
+    assert replace(sound, **changes).fault == reason
 
 
 def test_waves_below_their_errors_give_way_to_fewer() -> None:

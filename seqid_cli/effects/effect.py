@@ -277,6 +277,17 @@ class Effect:
             for setting in self.settings
         )
 
+    def can_exist(self, scenes: Scenes, c: Array, covariance: Array) -> bool:
+        """Return whether something with these coefficients can be, within their errors.
+
+        Parameters
+        ----------
+        scenes : sequence of Scene
+        c, covariance : array
+            Coefficients (k,) and their covariance (k, k).
+        """
+        return True
+
     # ---- Further declarations: how its law is stated --------------------------------
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:

@@ -63,7 +63,13 @@ class JointZero(MeasurementEffect):
         SINCE_LOG,
     )
     linear = (Coefficient("zero_error", "rad", low=-LARGEST_RAD, high=LARGEST_RAD),)
-    alike = ("payload", "base_tilt", "encoder_eccentricity", "spring")
+    alike = (
+        "payload",
+        "base_tilt",
+        "torque_constant",
+        "encoder_eccentricity",
+        "spring",
+    )
     separate_by = (
         "slow sweeps of the joints before and after this one, this one held in several"
         " postures: a wrong zero turns with this joint alone; or move it to its zero"

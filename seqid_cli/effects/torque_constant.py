@@ -27,7 +27,12 @@ class TorqueConstant(ModelledTorque):
     settings = (SINCE_LOG,)
     exact = True
     linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
-    alike = ("payload", "torque_saturation", "load_dependent_friction")
+    alike = (
+        "payload",
+        "joint_zero",
+        "torque_saturation",
+        "load_dependent_friction",
+    )
     separate_by = (
         "the same motion with and without a payload of known mass, as far out as the"
         " arm reaches: the known mass fixes the absolute gain of each joint that"

@@ -82,9 +82,18 @@ class Tuner:
             )
             if candidate.effect.plausible(
                 self.stage.scenes, candidate.joint, candidate.settings, coefficients
-            ):
+            ) and self._can_exist(fitted_term):
                 plausible.append(fitted_term)
         return plausible
+
+    def _can_exist(self, fitted: FittedTerm) -> bool:
+        """Return whether what a term stands for can be, within its errors."""
+        of_effect = slice(fitted.candidate.size)
+        return fitted.candidate.effect.can_exist(
+            self.stage.scenes,
+            fitted.fit.coefficients[of_effect],
+            fitted.fit.covariance[of_effect, of_effect],
+        )
 
     def tuned(self, start: FittedTerm, spacing: float = SPACING) -> FittedTerm:
         """Search the continuous settings, then follow those that have more values.

@@ -144,7 +144,7 @@ def _standard_by_entries(J: Array) -> Array:
 
 
 def nearest_body(
-    phi: Array, whitening: Array, *, margin: float = 1e-7
+    phi: Array, whitening: Array, *, margin: float = 1e-7, reach: float = np.inf
 ) -> tuple[Array, float]:
     """Find the body whose parameters are nearest to an estimate.
 
@@ -156,6 +156,8 @@ def nearest_body(
         (10, 10), turns a difference into independent standard errors.
     margin : float
         Least eigenvalue of the pseudo-inertia, scaled.
+    reach : float
+        How far from the frame's origin the centre of mass may be [m].
 
     Returns
     -------
@@ -175,8 +177,8 @@ def nearest_body(
     J = pseudo_inertia(phi)
 
     # Scaled by what the entries may become, the diagonal is of the order of one.
-    reach = np.abs(J) + np.sqrt(np.sum(steps**2, axis=0))
-    scale = np.sqrt(np.outer(reach.diagonal(), reach.diagonal()))
+    largest = np.abs(J) + np.sqrt(np.sum(steps**2, axis=0))
+    scale = np.sqrt(np.outer(largest.diagonal(), largest.diagonal()))
     by_difference = np.array([_upper(step / scale) for step in steps])
 
     length_first = np.eye(11)[[10, *range(10)]]
@@ -185,6 +187,11 @@ def nearest_body(
         (clarabel.SecondOrderConeT(11), -length_first, np.zeros(11)),
         (clarabel.PSDTriangleConeT(4), body, _upper(J / scale - margin * np.eye(4))),
     ]
+    if np.isfinite(reach):
+        # The first moment is no longer than the mass times the reach.
+        weight = np.array([reach, 1.0, 1.0, 1.0]) / max(reach * scale[3, 3], 1e-300)
+        of_moment = np.column_stack([-(inverse[:, :4] * weight).T, np.zeros(4)])
+        cones.append((clarabel.SecondOrderConeT(4), of_moment, phi[:4] * weight))
     solution = _solved(np.eye(11)[10], cones)
     if solution is None:
         hint = "Record more moves with the payload, of more joints."

@@ -115,6 +115,45 @@ def test_another_joints_zero_leaves_more() -> None:
     assert left[0] > 3.0 * left[1]
 
 
+ERRORS = np.array([0.05, *[0.01] * 3, *[0.004] * 6])  # kg, kg m, kg m^2
+
+
+@pytest.mark.parametrize(
+    ("phi", "exists"),
+    [
+        (point_mass(), True),
+        # within its errors
+        (point_mass() + ERRORS * np.array([1, -1, 1, 1, -1, 1, -1, 1, -1, 1]), True),
+        # minus a body; a moment without a mass
+        (-point_mass(), False),
+        (np.array([0.0, 0.3, *[0.0] * 8]), False),
+        # an inertia that no body of this mass and centre has
+        (point_mass() - np.array([*[0.0] * 4, 0.5, 0.0, 0.5, 0.0, 0.0, 0.5]), False),
+    ],
+)
+def test_a_payload_is_a_body(phi: Array, exists: bool) -> None:
+    scenes = [scene_of(wander(3.0))]
+    assert Payload().can_exist(scenes, phi, np.diag(ERRORS**2)) == exists
+
+
+def test_what_is_not_known_of_a_payload_is_not_held_against_it() -> None:
+    """Mass and centre of one that only swings about the last axis stay open."""
+    scenes = [scene_of(wander(3.0))]
+    covariance = np.diag(np.where(ERRORS < 0.02, ERRORS, 3.0) ** 2)
+    phi = point_mass()
+    phi[0] = 0.0
+    assert Payload().can_exist(scenes, phi, covariance)
+
+
+def test_a_payload_is_within_reach() -> None:
+    """Its inertia is not known, its mass and its moment are."""
+    scenes = [scene_of(wander(3.0))]
+    covariance = np.diag(np.concatenate([ERRORS[:4], np.full(6, 30.0)]) ** 2)
+    for out, exists in ((0.5, True), (7.0, False)):
+        phi = np.array([0.3, 0.3 * out, *[0.0] * 8])
+        assert Payload().can_exist(scenes, phi, covariance) == exists
+
+
 def upright_robot() -> Robot:
     """The two-joint arm with gravity along its first axis."""
     robot = two_joint_robot()

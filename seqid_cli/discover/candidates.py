@@ -11,6 +11,7 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import LIKELY, has_trials, residual_of
+from seqid_cli.discover.link_rows import link_rows
 from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
@@ -128,17 +129,18 @@ class Candidate:
     apart : bool
         It has coefficients of its own above the cut-off: what is faster than the
         position loop moves the arm, and the measured torque does not follow.
-    absorbed : {"", "friction", "all"}
+    absorbed : {"", "friction", "all", "torque"}
         It was there in the trials of the file's friction and gravity, which have
         absorbed a part of it (see `FileTrials`): all of them, or friction alone, where
-        gravity is known from other joints' trials.
+        gravity is known from other joints' trials. Or it was there in all logs of the
+        file, whose parameters have its torque: then only rows of links show it.
     """
 
     effect: Effect
     joint: int | None
     settings: dict[str, float]
     apart: bool = False
-    absorbed: Literal["", "friction", "all"] = ""
+    absorbed: Literal["", "friction", "all", "torque"] = ""
 
     @property
     def size(self) -> int:
@@ -182,7 +184,12 @@ class Candidate:
         return self.effect.columns_in_log(scene, self.joint, self.settings)
 
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
-        """Return the low-passed torque (N,) N m of coefficients c (k,), by joint."""
+        """Return the low-passed torque (N,) N m of coefficients c (k,), by joint.
+
+        There is none where the file has absorbed it.
+        """
+        if self.absorbed == "torque":
+            return {}
         # A wide effect is worked out at the log's own rate: it would be aliased.
         full = (scene.full or scene) if self.effect.wide else scene
         stride = round(full.motion.rate_hz / scene.motion.rate_hz)
@@ -215,6 +222,8 @@ class CandidateColumns:
         Rows above the cut-off.
     drive : DriveRows
         Rows of drives.
+    links : LinkRows
+        Rows of links against their motors.
     known : dict
         By a candidate's address, the precision of its coefficients and what the file
         has absorbed (see `select.terms.effects`).
@@ -226,8 +235,10 @@ class CandidateColumns:
         self.file = file
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
+        self.links = link_rows(rows)
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}
         self._computed: dict[tuple[object, ...], Channels] = {}
+        self._computed_on_links: dict[tuple[object, ...], Channels] = {}
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Return columns of candidates on the rows of the joints that they touch."""
@@ -239,12 +250,15 @@ class CandidateColumns:
                 missing[key] = candidate
         self._compute(missing)
 
-        result = []
+        result: list[Channels] = []
         for key, candidate in zip(keys, candidates, strict=True):
             columns = self._computed[key]
             if candidate.effect.drive:
                 columns = self.with_drive(columns)
-            result.append(columns)
+            on_links = self._on_links(candidate, key)
+            if candidate.absorbed == "torque":
+                columns = {}
+            result.append({**columns, **on_links})
         return result
 
     def _compute(self, missing: Mapping[tuple[object, ...], Candidate]) -> None:
@@ -266,6 +280,21 @@ class CandidateColumns:
                 batch_keys = narrow_keys[first : first + batch]
                 computed = self._narrow([missing[key] for key in batch_keys], passes)
                 self._computed.update(zip(batch_keys, computed, strict=True))
+
+    def _on_links(self, candidate: Candidate, key: tuple[object, ...]) -> Channels:
+        """Return columns on the rows of links, of effects that turn a link."""
+        if not self.links.y or candidate.joint is None:
+            return {}
+        if key not in self._computed_on_links:
+            angles = [
+                candidate.effect.link_angle(scene, candidate.joint, candidate.settings)
+                for scene in self.scenes
+            ]
+            turned = [angle for angle in angles if angle is not None]
+            self._computed_on_links[key] = (
+                self.links.columns(candidate.joint, turned) if turned else {}
+            )
+        return self._computed_on_links[key]
 
     def came_since(self, candidate: Candidate) -> bool:
         """Return whether friction trials would have shown a candidate, and did not."""
@@ -348,7 +377,7 @@ class CandidateColumns:
             The columns less what these explain.
         """
         file = self.file
-        if not candidate.absorbed or file is None:
+        if candidate.absorbed in ("", "torque") or file is None:
             return {}, columns
         absorbed = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
         if candidate.absorbed == "friction":
@@ -389,6 +418,8 @@ def candidates_of(
         for scene, of_scene in zip(narrow, residual, strict=True)
     ]
     for effect in effects:
+        turns_links = type(effect).link_angle is not Effect.link_angle
+        shows_on_links = turns_links and bool(narrow[0].links)
         scenes = full if effect.wide else narrow
         residuals = full_residuals if effect.wide else residual
         for joint in _joints_of(effect, narrow[0]):
@@ -412,6 +443,8 @@ def candidates_of(
                     yield Candidate(effect, joint, settings, absorbed="all")
                 if shows_in_trials and effect.even:
                     yield Candidate(effect, joint, settings, absorbed="friction")
+                if shows_on_links and joint is not None:
+                    yield Candidate(effect, joint, settings, absorbed="torque")
 
 
 def likeliest_log(

@@ -14,6 +14,7 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
+from seqid_cli.discover.link_rows import KIND as LINKS
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import ScoredTerm, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -104,7 +105,8 @@ def evidence_of(
 
     # Its channel that shows it most, and rows of that one.
     theta = model.linear.theta[model.where(term)]
-    channels = [c for c in term.channels if term.joint in (c % n, None)]
+    of_torque = [c for c in term.channels if c // n != LINKS] or list(term.channels)
+    channels = [c for c in of_torque if term.joint in (c % n, None)]
     channel = max(
         channels,
         key=lambda c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2),

@@ -9,6 +9,7 @@ from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.settings import EvidenceSettings
 from seqid_cli.effects.apply import scene_of_log
+from seqid_cli.effects.link_readings import link_readings
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
@@ -78,6 +79,7 @@ def scenes_of(
             sign_width=sign_width,
             encoder=log.q,
             measured=log.tau,
+            links=link_readings(log, robot, stages.imu, motion.lowpass),
         )
         scenes.append(thinned(scene))
     return scenes
@@ -167,7 +169,8 @@ def thinned(full: Scene) -> Scene:
         sensor=thin(full.sensor),
         encoder=thin(full.encoder),
         measured=None,
-        full=full,
+        links=tuple(imu.every(stride) for imu in full.links),
+        full=replace(full, links=()),
     )
 
 

@@ -125,12 +125,17 @@ class Backlash(Effect):
         """Return the flight between the flanks of the trial gap."""
         return Play(settings["trial_gap"])
 
-    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Compute the torque per unit gap, on all joints."""
+    def link_angle(self, scene: Scene, joint: int, settings: Settings) -> Array:
+        """Return minus the lead of the motor per unit gap."""
         gap = settings["trial_gap"]
         inertia = link_inertia(scene, joint)[:, joint]
         lead = play(scene.load[:, joint], inertia, scene.motion, gap)
-        return link_deviation(scene, joint, lead / -gap)
+        return lead[:, None] / -gap
+
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
+        """Compute the torque per unit gap, on all joints."""
+        angle = self.link_angle(scene, joint, settings)
+        return link_deviation(scene, joint, angle[:, 0])
 
 
 def play(load: Array, inertia: Array, motion: Motion, gap: float) -> Array:

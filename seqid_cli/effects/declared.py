@@ -11,11 +11,13 @@ from seqid_cli.typing import Array
 class Twist:
     """The link lags by the twist of a spring and damper, per unit of compliance.
 
-    `stiffness` N m/rad and `damping_ratio`, of critical, shape it.
+    `stiffness` N m/rad and `damping_ratio`, of critical, shape it. Of what the model
+    has for the link's inertia `rotor` kg m^2 are the motor's.
     """
 
     stiffness: float
     damping_ratio: float
+    rotor: float = 0.0
 
 
 @dataclass(frozen=True)

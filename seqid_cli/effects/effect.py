@@ -306,6 +306,16 @@ class Effect:
         """Return how the joint's link is not where its encoder says; None if it is."""
         return None
 
+    def link_angle(
+        self, scene: Scene, joint: AnyJoint, settings: Settings
+    ) -> Array | None:
+        """Return the angle (N, k) by which the link is ahead of its encoder.
+
+        It is per unit coefficient, and shows in an IMU on the link. None where link and
+        encoder turn as one.
+        """
+        return None
+
     def body_terms(
         self, robot: Robot, joint: AnyJoint, settings: Settings
     ) -> Sequence[BodyTerm] | None:

@@ -54,7 +54,7 @@ class LoadLoss(FrictionEffect):
         measured = all(scene.sensor is not None for scene in scenes)
         if measured or not rotor_hidden(scenes[0].robot, joint):
             return
-        largest = _smallest_inertia(scenes, joint)
+        largest = smallest_inertia(scenes, joint)
         if largest > 0.0:
             yield from ({ROTOR: share * largest} for share in SHARES)
 
@@ -76,13 +76,13 @@ class LoadLoss(FrictionEffect):
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
         """Return whether losses are bounded and the link has inertia of its own."""
-        leaves_a_link = ROTOR not in settings or settings[ROTOR] <= _smallest_inertia(
+        leaves_a_link = ROTOR not in settings or settings[ROTOR] <= smallest_inertia(
             scenes, joint
         )
         return leaves_a_link and super().plausible(scenes, joint, settings, c)
 
 
-def _smallest_inertia(scenes: Scenes, joint: int) -> float:
+def smallest_inertia(scenes: Scenes, joint: int) -> float:
     """Return the smallest modelled inertia about a joint, kg m^2, at least 0."""
     smallest = min(
         float(link_inertia(scene, joint)[:, joint].min()) for scene in scenes

@@ -17,12 +17,19 @@ coefficient; nearer to it the shape depends on K and D too, by the settings
 `trial_stiffness`, which must agree with 1/K, and `damping_ratio`, of critical: looked
 for first with more of it than a gear has, so that a coarse grid of resonances meets the
 true one, then with less. In the band a finer grid with less damping meets those that
-ring on. Spong, "Modeling and control of elastic joint robots", J. Dyn. Sys. Meas.
-Control 109(4), 1987; Gautier, Jubien, Janot, "New iterative learning identification and
-model based control of robots using only actual motor torque data", IROS 2013.
+ring on.
+
+At the joints near the base no motion of the motor tells the rotor's inertia from the
+link's. Where the robot file does not give it, the setting `reflected_rotor_inertia` is
+the part of M and tau_L that is the motor's and does not twist the gear. An IMU on the
+link shows the resonance then, but not which part is whose: no stiffness is told. Spong,
+"Modeling and control of elastic joint robots", J. Dyn. Sys. Meas. Control 109(4), 1987;
+Gautier, Jubien, Janot, "New iterative learning identification and model based control
+of robots using only actual motor torque data", IROS 2013.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 from scipy.linalg.blas import dtbsv
@@ -36,13 +43,15 @@ from seqid_cli.effects.effect import (
     Setting,
     Settings,
     knows_load,
+    rotor_hidden,
 )
+from seqid_cli.effects.gear_load import ROTOR, smallest_inertia
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.memory import FrictionSlope, Rate
 from seqid_cli.effects.scene import Scene, Scenes
 from seqid_cli.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.effects.units import Value
-from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -56,6 +65,9 @@ STIFFEST = 6.0
 POINTS = 8
 FINE = 8  # resonances in the band, where gears may ring on
 AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
+# Rotors of the grid, of the smallest inertia about a joint that they may be part of.
+ROTORS = (0.3, 0.6, 0.85)
+HIGHEST_SEEN = 2.2  # over the cut-off, of a resonance that IMUs on the link show
 # Resonance over the cut-off, of a joint whose shape is that of a stiff one.
 LOWEST_RESONANCE = 0.4
 
@@ -71,6 +83,7 @@ class JointElasticity(Effect):
         Setting(
             "damping_ratio", "1", low=0.0, high=1.0, continuous=False, then=SHARPER
         ),
+        Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),
     )
     passes = 1
     timing = True
@@ -99,8 +112,12 @@ class JointElasticity(Effect):
         shares = np.geomspace(SOFTEST, STIFFEST, POINTS)[:: 1 + on_link]
         tried = [(share, BLUNT) for share in shares]
         if not on_link:
-            in_band = np.geomspace(LOWEST_RESONANCE, 1.0, FINE)
-            tried += [(share, RINGING) for share in in_band]
+            resonances = np.geomspace(LOWEST_RESONANCE, 1.0, FINE)
+            if scenes[0].links:
+                # An IMU on the link shows it ringing where the torque does not.
+                above = np.geomspace(1.0, HIGHEST_SEEN, FINE)
+                resonances = np.concatenate([resonances, above[1:]])
+            tried += [(share, RINGING) for share in resonances]
 
         for share, damping_ratio in tried:
             yield {
@@ -108,6 +125,26 @@ class JointElasticity(Effect):
                 "encoder_side": float(on_link),
                 "damping_ratio": damping_ratio,
             }
+
+        # Where a part of the inertia is the motor's, the gear resonates at a part of
+        # the stiffness. The motor's torque hardly shows that, an IMU on the link does.
+        inertia = smallest_inertia(scenes, joint)
+        is_hidden = rotor_hidden(scenes[0].robot, joint)
+        if on_link or not scenes[0].links or not is_hidden or inertia <= 0.0:
+            return
+        for (share, damping_ratio), of_rotor in product(tried, ROTORS):
+            stiffness = stiffness_at_cutoff * share**2 * (1.0 - of_rotor)
+            yield {
+                "trial_stiffness": float(stiffness),
+                "encoder_side": 0.0,
+                "damping_ratio": damping_ratio,
+                ROTOR: of_rotor * inertia,
+            }
+
+    def between(self, settings: Settings) -> tuple[Setting, ...]:
+        """Return the stiffness, and the rotor's inertia where there is one."""
+        stiffness, *_, rotor = self.settings
+        return (stiffness, rotor) if ROTOR in settings else (stiffness,)
 
     def laws(
         self, robot: Robot, joint: int, settings: Settings
@@ -130,7 +167,11 @@ class JointElasticity(Effect):
         """Return the twist of the gear, if the encoder is on the motor."""
         if _encoder_on_link(settings):
             return None
-        return Twist(settings["trial_stiffness"], settings.get("damping_ratio", BLUNT))
+        return Twist(
+            stiffness=settings["trial_stiffness"],
+            damping_ratio=settings.get("damping_ratio", BLUNT),
+            rotor=settings.get(ROTOR, 0.0),
+        )
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Compute the torque per unit compliance, on all joints.
@@ -140,8 +181,21 @@ class JointElasticity(Effect):
         deviation = self.deviation(scene.robot, joint, settings)
         if deviation is None:
             return super().columns(scene, joint, settings)
-        angle = twist(scene, joint, deviation.stiffness, deviation.damping_ratio)
-        return link_deviation(scene, joint, angle)
+        angle = twist(scene, joint, deviation)
+        columns = dict(link_deviation(scene, joint, angle))
+        if deviation.rotor:
+            # The motor's part of the inertia does not turn with the link.
+            motion = scene.motion
+            _, acceleration = differentiate(angle, motion.rate_hz, motion.valid)
+            columns[joint] = columns[joint] - deviation.rotor * acceleration[:, None]
+        return columns
+
+    def link_angle(self, scene: Scene, joint: int, settings: Settings) -> Array | None:
+        """Return the twist, if the encoder is on the motor."""
+        deviation = self.deviation(scene.robot, joint, settings)
+        if deviation is None:
+            return None
+        return twist(scene, joint, deviation)[:, None]
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
@@ -164,8 +218,11 @@ class JointElasticity(Effect):
             return False
         if _encoder_on_link(settings):
             return True
+        rotor = settings.get(ROTOR, 0.0)
+        if rotor > 0.0 and rotor > smallest_inertia(scenes, joint):
+            return False  # no link is left
 
-        stiffness_at_cutoff = _stiffness_at_cutoff(scenes[0], joint)
+        stiffness_at_cutoff = _stiffness_at_cutoff(scenes[0], joint, rotor)
         if settings["trial_stiffness"] < stiffness_at_cutoff:
             ratio = c[0] * settings["trial_stiffness"]
             return bool(1.0 / AGREEMENT < ratio < AGREEMENT)
@@ -176,23 +233,25 @@ def _encoder_on_link(settings: Settings) -> bool:
     return settings["encoder_side"] > 0.5
 
 
-def _stiffness_at_cutoff(scene: Scene, joint: int) -> float:
-    """Return the stiffness of a joint that resonates at the cut-off, N m/rad."""
-    inertia = max(float(np.mean(link_inertia(scene, joint)[:, joint])), 1e-9)
+def _stiffness_at_cutoff(scene: Scene, joint: int, rotor: float = 0.0) -> float:
+    """Return the stiffness of a joint that resonates at the cut-off, N m/rad.
+
+    Of its modelled inertia `rotor` kg m^2 are the motor's.
+    """
+    mean_inertia = float(np.mean(link_inertia(scene, joint)[:, joint]))
+    inertia = max(mean_inertia - rotor, 1e-9)
     return float(inertia * (2 * np.pi * scene.motion.lowpass.cutoff_hz) ** 2)
 
 
-def twist(scene: Scene, joint: int, stiffness: float, ratio: float = BLUNT) -> Array:
+def twist(scene: Scene, joint: int, gear: Twist) -> Array:
     """Compute the twist K x (N,) N m of a compliant joint under the measured motion.
 
     Parameters
     ----------
     scene : Scene
     joint : int
-    stiffness : float
-        K [N m/rad].
-    ratio : float
-        Damping over critical damping [-].
+    gear : Twist
+        K [N m/rad], damping, and the rotor that the model has in the link.
 
     Returns
     -------
@@ -202,8 +261,11 @@ def twist(scene: Scene, joint: int, stiffness: float, ratio: float = BLUNT) -> A
         quasi-static.
     """
     load = scene.load[:, joint]
-    mass = np.maximum(link_inertia(scene, joint)[:, joint], 1e-9) / stiffness
-    damping = 2.0 * ratio * np.sqrt(mass)
+    if gear.rotor and scene.sensor is None:
+        load = load - gear.rotor * scene.motion.ddq[:, joint]
+    inertia = link_inertia(scene, joint)[:, joint] - gear.rotor
+    mass = np.maximum(inertia, 1e-9) / gear.stiffness
+    damping = 2.0 * gear.damping_ratio * np.sqrt(mass)
 
     torque = -load
     for start, stop in runs(scene.motion.valid, scene.samples):

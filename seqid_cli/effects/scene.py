@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from seqid_cli.effects.link_readings import LinkReadings
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import (
     REACH,
@@ -63,6 +64,8 @@ class Scene:
         (N, n) positions as the encoder reports them, not filtered.
     measured : Array, optional
         (N, n) torque [N m; N where prismatic], not filtered.
+    links : tuple of LinkReadings
+        What calibrated IMUs read beyond what the encoders say.
     full : Scene, optional
         The same log at its own rate, where this one has been decimated.
     """
@@ -80,6 +83,7 @@ class Scene:
     sensor: Array | None = None
     encoder: Array | None = None
     measured: Array | None = None
+    links: tuple[LinkReadings, ...] = ()
     full: Scene | None = None
 
     @property

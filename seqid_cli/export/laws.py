@@ -466,15 +466,26 @@ class _Writer:
         """Write the twist of an elastic gear."""
         slot = self._slot("twist", self.code.twists)
         self.code.twisted.append(j)
+        load = f"load[{j}]"
+        inertia = self._inertia(j)
+        if twist.rotor:
+            load = f"load[{j}] - {real(twist.rotor)} * ddq[{j}]"
+            left = f"{inertia} - {real(twist.rotor)}"
+            inertia = self.syntax.call("max", left, "1e-9")
         step = self.syntax.call(
             "twist",
             slot,
-            f"load[{j}]",
-            f"{self._inertia(j)} / {real(twist.stiffness)}",
+            load,
+            f"{inertia} / {real(twist.stiffness)}",
             real(twist.damping_ratio),
             "dt",
         )
         self._deviating(title, j, step, slot, compliance)
+        if twist.rotor:
+            # The motor's part of the inertia does not turn with the link.
+            share = real(twist.rotor * compliance)
+            torque = self.syntax.statement(f"tau[{j}] -= {share} * {slot}[2]")
+            self.code.deviations += self.syntax.block(title, [torque])
 
     def _play(self, title: str, j: int, play: Play, gap: float) -> None:
         """Write the flights of a gear with backlash: its motor leads the link."""

@@ -22,6 +22,7 @@ from seqid_cli.discover.candidates import (
     DriveRows,
     candidates_of,
 )
+from seqid_cli.discover.link_rows import KIND as LINKS
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.bounds import within_bounds
@@ -117,7 +118,7 @@ class SelectionProblem:
     base : Base
         What is free to take up the residual before any effect is blamed.
     rows : Observations
-        Rows of all joints below and above the cut-off, and of drives.
+        Rows of all joints below and above the cut-off, of drives and of links.
     size : (channels,) array
         RMS that the file leaves [N m; N where prismatic].
     options : Options
@@ -151,17 +152,30 @@ class SelectionProblem:
             kept_rows, FileTrials(kept_rows.scenes[0], base, stages)
         )
         n = kept_rows.n
-        y = (*base.y, *stage.high.y, *stage.drive.y)
+        of_links = stage.links.y
+        of_drives = stage.drive.y
+        if of_links and not of_drives:
+            of_drives = tuple(np.zeros(0) for _ in of_links)
+        y = (*base.y, *stage.high.y, *of_drives, *of_links)
 
-        # A drive has the rows of its joint below the cut-off, or none.
+        # A drive, or a link, has the rows of its joint below the cut-off, or none.
         blocks_below = [kept_rows.blocks_of(joint) for joint in range(n)]
         blocks_of_drive = [
             block[: len(of_drive)]
-            for block, of_drive in zip(blocks_below, stage.drive.y, strict=False)
+            for block, of_drive in zip(blocks_below, of_drives, strict=False)
+        ]
+        blocks_of_links = [
+            block[: len(of_link)]
+            for block, of_link in zip(blocks_below, of_links, strict=False)
         ]
         rows = Observations(
             y=y,
-            block=(*blocks_below, *stage.high.block, *blocks_of_drive),
+            block=(
+                *blocks_below,
+                *stage.high.block,
+                *blocks_of_drive,
+                *blocks_of_links,
+            ),
             blocks=len(kept_rows.fold),
             views=tuple(_views(channel, n, stage.drive) for channel in range(len(y))),
             log_of_block=kept_rows.log_of_block,
@@ -266,8 +280,8 @@ class SelectionProblem:
 
 def _views(channel: int, n: int, drive: DriveRows) -> int:
     """Return how many channels show what one does: two where a drive has its rows."""
-    above_cutoff = channel // n == 1
-    if not above_cutoff and drive.of(channel % n):
+    shows_torque = channel // n in (0, 2)
+    if shows_torque and drive.of(channel % n):
         return 2
     return 1
 
@@ -517,10 +531,11 @@ class Model:
     def is_detail(self, term: Term) -> bool:
         """Return whether a term is small beside the torque of the model.
 
-        That torque ends at the cut-off: a term above it is no detail.
+        That torque ends at the cut-off, and is none of links against their motors: a
+        term that shows there is no detail.
         """
         n = self.ground.n
-        if any(channel // n == 1 for channel in term.channels):
+        if any(channel // n in (1, LINKS) for channel in term.channels):
             return False
         square_of_model = 0.0
         for channel in term.channels:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seqid_cli.discover.candidates import CandidateColumns
+from seqid_cli.discover.link_rows import KIND as LINKS
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.rows import (
     ALIKE,
@@ -50,7 +51,9 @@ class Noise:
             joint = channel % n
             if channel // n == 1 or not stage.rows.count(joint):
                 continue  # above the cut-off nothing is slow
-            if channel < n or stage.drive.of(joint):
+            is_of_link = channel // n == LINKS and stage.links.of(joint)
+            is_of_drive = channel // n == 2 and stage.drive.of(joint)
+            if channel < n or is_of_drive or is_of_link:
                 groups.append(slow_noise(stage, channel, sigma))
         return groups
 

@@ -5,9 +5,10 @@ Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a 
 blocks alone may still be sure, if nothing speaks against it elsewhere.
 
 A *channel* is one kind of rows of a joint. With n joints, channel j is the torque of
-joint j below its cut-off, n + j what lies above the cut-off, and 2 n + j its drive
-alone. In shapes, M_c is the number of rows of channel c, k the number of columns of one
-group, and "blocks" the number of blocks of time.
+joint j below its cut-off, n + j what lies above the cut-off, 2 n + j its drive alone,
+and 3 n + j its link against its motor, in standard deviations (see `link_rows`). In
+shapes, M_c is the number of rows of channel c, k the number of columns of one group,
+and "blocks" the number of blocks of time.
 """
 
 from collections.abc import Iterable, Mapping

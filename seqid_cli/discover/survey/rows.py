@@ -119,6 +119,14 @@ class Rows:
         ]
         return np.concatenate(parts)
 
+    def of_kept(self, joint: int, values: Sequence[Array]) -> Array:
+        """Stack the joint's rows of values (M, ...) at the kept samples alone."""
+        parts = [
+            of_scene[used[:, joint]]
+            for of_scene, used in zip(values, self.used, strict=True)
+        ]
+        return np.concatenate(parts)
+
     def torque(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered torques, and whiten them at reversals.
 

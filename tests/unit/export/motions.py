@@ -292,6 +292,14 @@ CASES: Mapping[str, Sequence[Case]] = {
     ],
     "joint_elasticity": [
         case(0, 1 / 900.0, **SOFT, encoder_side=0.0),
+        case(
+            0,
+            1 / 500.0,
+            trial_stiffness=500.0,
+            damping_ratio=0.1,
+            encoder_side=0.0,
+            reflected_rotor_inertia=0.5,
+        ),
         case(1, 1 / 300.0, trial_stiffness=300.0, damping_ratio=0.03, encoder_side=0.0),
         case(
             0, 1 / 2000.0, trial_stiffness=2000.0, encoder_side=1.0, damping_ratio=0.15

@@ -141,6 +141,13 @@ def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
     assert told.file_gain > 10.0 * max(float(told.block_gains.sum()), 1.0)
 
 
+def test_minus_a_body_is_no_payload() -> None:
+    """Whatever else it is: the arm would have to lose mass that it may not have."""
+    scenes = arm_scenes(lambda scene: -payload(scene))
+    found = selected(scenes, ("payload",), stages=file_of(scenes[0]))
+    assert ("payload", None) not in keys(found)
+
+
 @pytest.mark.parametrize("drive", [0, 1])
 def test_a_coupled_pair_is_named_once(drive: int) -> None:
     """Whichever joint's drive it is: the two have the same columns."""

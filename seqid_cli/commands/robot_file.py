@@ -30,10 +30,10 @@ def found_robot(screen: Screen, logs: Sequence[str]) -> Path:
 
 def found_robot_if_any(screen: Screen, logs: Sequence[str]) -> Path | None:
     """Return the robot file as `found_robot` does, or None where there is none."""
-    here = Path(ROBOT_NAME)
-    if here.is_file():
-        screen.note(f"robot file: {here} (-r names another)")
-        return here
+    working_folder_file = Path(ROBOT_NAME)
+    if working_folder_file.is_file():
+        screen.note(f"robot file: {working_folder_file} (-r names another)")
+        return working_folder_file
 
     # Several logs of one robot find the same file.
     beside = []

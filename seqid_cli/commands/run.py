@@ -251,14 +251,15 @@ def _robot_file(
     if urdf is None:
         return found_robot(runner.screen, [str(folder)])
 
-    made = output / "robot.toml"
-    if made.is_file():
-        runner.screen.note(f"robot file: {made}, made by an earlier run, kept")
-        return made
+    robot_file = output / "robot.toml"
+    if robot_file.is_file():
+        note = f"robot file: {robot_file}, made by an earlier run, kept"
+        runner.screen.note(note)
+        return robot_file
     _make_folder(output)
     runner.screen.note("--- init")
-    runner.run(["init", "--urdf", str(urdf), "-o", str(made), "--", str(folder)])
-    return made
+    runner.run(["init", "--urdf", str(urdf), "-o", str(robot_file), "--", str(folder)])
+    return robot_file
 
 
 def _steps(

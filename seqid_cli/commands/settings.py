@@ -102,15 +102,15 @@ def show_settings(command: TyperCommand, name: str, words: Sequence[str]) -> int
     read as for completion, which misses nothing.
     """
     with command.make_context(name, list(words), resilient_parsing=True) as context:
-        given = context.params
+        options = context.params
     screen = screen_for(
         name,
-        quiet=given["quiet"],
-        verbose=given["verbose"],
-        json=given["json"],
-        no_color=given["no_color"],
+        quiet=options["quiet"],
+        verbose=options["verbose"],
+        json=options["json"],
+        no_color=options["no_color"],
     )
-    effective = overridden(SETTINGS_OF_COMMANDS[name], given["set_values"] or ())
+    effective = overridden(SETTINGS_OF_COMMANDS[name], options["set_values"] or ())
     _show(screen, list(entries(effective)))
     return 0
 

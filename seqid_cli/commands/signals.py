@@ -42,10 +42,10 @@ def _interrupt(number: int, frame: "FrameType | None") -> "NoReturn":
     raise Interrupted
 
 
-def _swallowed(found: "sys.UnraisableHookArgs") -> None:
+def _swallowed(unraisable: "sys.UnraisableHookArgs") -> None:
     """Raise an interrupt again that came in a finalizer, where exceptions end."""
-    if isinstance(found.exc_value, Interrupted) and hasattr(signal, "setitimer"):
+    if isinstance(unraisable.exc_value, Interrupted) and hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _interrupt)
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
     else:
-        sys.__unraisablehook__(found)
+        sys.__unraisablehook__(unraisable)

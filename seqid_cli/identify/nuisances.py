@@ -344,9 +344,9 @@ def with_drive_terms(
         joint = with_term(joint, term_name, value, std_error)
 
     even_places = [places[even_name] for even_name in EVEN_NAMES]
-    before = EvenPart.of_joint(joint, friction_rms(surface))
+    of_file = EvenPart.of_joint(joint, friction_rms(surface))
     even = EvenPart(
-        values=before.values + theta[even_places],
+        values=of_file.values + theta[even_places],
         covariance=covariance[np.ix_(even_places, even_places)],
     )
     return with_even_part(joint, name, even)

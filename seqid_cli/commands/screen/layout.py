@@ -29,9 +29,9 @@ def width_of(stream: TextIO) -> int | None:
     None where nothing limits a line: no terminal shows it and COLUMNS does not ask for
     it.
     """
-    asked = os.environ.get("COLUMNS", "")
-    if asked.isdigit():
-        return max(NARROWEST, int(asked))
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit():
+        return max(NARROWEST, int(columns))
     if not stream.isatty():
         return None
     return max(NARROWEST, shutil.get_terminal_size().columns)

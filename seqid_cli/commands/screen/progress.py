@@ -57,11 +57,11 @@ class ProgressLine:
     def show(self, done: int, total: int, text: str) -> None:
         """Say that `done` of `total` parts are finished and what comes next."""
         with self._lock:
-            before = self._step
+            step_before = self._step
             self._step = Step(done, total, text)
             if self._bar is None:
                 self._draw()
-            elif total != before.total or done < before.done:
+            elif total != step_before.total or done < step_before.done:
                 self._begin_parts()
             elif self._task is not None:
                 self._bar.update(self._task, completed=done, description=self._words())

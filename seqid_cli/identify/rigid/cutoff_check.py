@@ -84,19 +84,19 @@ def cutoff_check(
     stated = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
     excess: list[Array] = []
     differences: list[Difference] = []
-    for multiple, (other, other_posterior) in neighbours.items():
-        if solution.moves.shape != other.moves.shape:  # their blocks are not alike
+    for multiple, (neighbour, neighbour_posterior) in neighbours.items():
+        if solution.moves.shape != neighbour.moves.shape:  # their blocks are not alike
             continue
-        change = other.theta - solution.theta
+        change = neighbour.theta - solution.theta
         by_friction = {
-            j: other_posterior.friction[j] - moves
+            j: neighbour_posterior.friction[j] - moves
             for j, moves in posterior.friction.items()
-            if j in other_posterior.friction
+            if j in neighbour_posterior.friction
         }
-        V = spread_of(other.moves - solution.moves)
+        V = spread_of(neighbour.moves - solution.moves)
         V = V + friction_covariance(by_friction, surfaces, size)
 
-        determined = solution.determined & other.determined
+        determined = solution.determined & neighbour.determined
         share = _excess(change[determined], V[np.ix_(determined, determined)])
         excess.append(np.where(determined, change, 0.0) * share)
         std_error = np.sqrt(np.maximum(np.diag(V), 0.0))
@@ -122,12 +122,12 @@ def _excess(change: Array, V: Array) -> float:
     """
     scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
     value, vector = np.linalg.eigh(V / np.outer(scale, scale))
-    seen = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
-    along = vector[:, seen].T @ (change / scale)
-    W = float(np.sum(along**2 / value[seen]))
+    is_seen = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
+    along = vector[:, is_seen].T @ (change / scale)
+    W = float(np.sum(along**2 / value[is_seen]))
     if W <= 0:
         return 0.0
-    return float(np.sqrt(max(0.0, 1.0 - float(seen.sum()) / W)))
+    return float(np.sqrt(max(0.0, 1.0 - float(is_seen.sum()) / W)))
 
 
 def with_cutoff_check(

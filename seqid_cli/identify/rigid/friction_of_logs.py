@@ -60,8 +60,8 @@ class FrictionShares:
             unexplained[in_log] -= shares[k] * friction
             # Rows of one trial share their slow noise: trials are counted, not rows.
             trials = len(np.unique(rows.trial[in_log]))
-            left = np.sum(weight * unexplained[in_log] ** 2)
-            std_errors[k] = np.sqrt(left / power / trials)
+            power_left = np.sum(weight * unexplained[in_log] ** 2)
+            std_errors[k] = np.sqrt(power_left / power / trials)
         friction_rms = max(joint.rms(rows.friction), 1e-300)
         return cls(
             logs=logs,

@@ -151,14 +151,15 @@ def _judged(
             # What friction explains is no fault of gravity, which is alike both ways.
             residual = shares.unexplained
 
-        left = joint_rows.rms(residual)
-        alone = friction.joints[joint.name].rmse
-        if left <= settings.max_left * alone:
+        rms_of_one = joint_rows.rms(residual)
+        rms_of_each = friction.joints[joint.name].rmse
+        if rms_of_one <= settings.max_left * rms_of_each:
             continue
         unit = joint.unit("N m")
         reason = (
-            f"one gravity for all postures leaves {left:.3g} {unit}, {left / alone:.2g}"
-            f" times what a gravity of its own in each does ({alone:.3g} {unit}):"
+            f"one gravity for all postures leaves {rms_of_one:.3g} {unit},"
+            f" {rms_of_one / rms_of_each:.2g} times what a gravity of its own in each"
+            f" does ({rms_of_each:.3g} {unit}):"
             " geometry, zeros or gravity's direction in the robot file are not the"
             " arm's, or the load was another in some trials"
         )

@@ -250,8 +250,8 @@ def _stage(
     solution, posterior = equations.solved(rows, share)
     posterior = posterior.with_error(coupling.directions)
     at_neighbours = {
-        multiple: equations.solved(other, share)
-        for multiple, other in neighbours.items()
+        multiple: equations.solved(neighbour_rows, share)
+        for multiple, neighbour_rows in neighbours.items()
     }
     by_cutoff = cutoff_check(
         (solution, posterior), at_neighbours, equations.surfaces, settings.cutoff_check

@@ -165,8 +165,8 @@ class InertiaEquations:
             used = sliding(motion, self.slowest, reach_periods=settled)
             rows.noise.append(noise_of_log(log, motion, used))
             rows.states.append(_some_states(motion, used))
-        whole = replace(motion, moving=moving[None])
-        rows.uses.append(equations.motion_use(log.path, self.robot, whole))
+        of_all_parts = replace(motion, moving=moving[None])
+        rows.uses.append(equations.motion_use(log.path, self.robot, of_all_parts))
         return rows
 
     def _motions_of(self, log: Recording | LongLog) -> "LogMotions":
@@ -306,15 +306,15 @@ class InertiaEquations:
         judged: Mask,
     ) -> None:
         """Add rows that calibrate bands, of the samples that judge predictions."""
-        known = np.array([surface is not None for surface in self.surfaces])
-        chosen = collected.pick(motion, judged & known)
+        has_friction = np.array([surface is not None for surface in self.surfaces])
+        chosen = collected.pick(motion, judged & has_friction)
         collected.add(
             motion,
             chosen,
             H=H[chosen],
             y=y[chosen],
-            used=(used & known)[chosen],
-            judged=(judged & known)[chosen],
+            used=(used & has_friction)[chosen],
+            judged=(judged & has_friction)[chosen],
         )
 
     def prior(self) -> Prior:

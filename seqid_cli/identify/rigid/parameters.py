@@ -199,10 +199,10 @@ def joint_verdicts(
         if not rows.samples:
             verdicts.append(Verdict(joint=joint.name, good=False, reason=idle))
             continue
-        left = float(solution.sigma[j])
-        share = left / max(float(np.sqrt(squares[j] / rows.samples)), 1e-300)
+        residual_rms = float(solution.sigma[j])
+        share = residual_rms / max(float(np.sqrt(squares[j] / rows.samples)), 1e-300)
         unit = joint.unit("N m")
-        reason = f"leaves {percent(share)} of the torque ({left:.3g} {unit})"
+        reason = f"leaves {percent(share)} of the torque ({residual_rms:.3g} {unit})"
         if noise.high[j] > 0.0:
             reason += f", noise up to {noise.high[j]:.3g} {unit}"
         level: Level = "good"
@@ -307,10 +307,12 @@ def missing_pairs(
         still_open = open_with[best]
 
     for pair in list(chosen):
-        others = [regressors[other] / scale for other in chosen if other != pair]
-        if not others:
+        without_pair = [
+            regressors[kept_pair] / scale for kept_pair in chosen if kept_pair != pair
+        ]
+        if not without_pair:
             continue
-        open_without = _still_open(np.vstack(others), all_open)
+        open_without = _still_open(np.vstack(without_pair), all_open)
         if open_without.shape[1] <= still_open.shape[1]:
             chosen.remove(pair)
     return [[robot.joint_names[j] for j in dict.fromkeys(pair)] for pair in chosen]

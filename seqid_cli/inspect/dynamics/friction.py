@@ -313,19 +313,19 @@ def _exchanged(
     friction = np.array([fit.values for fit in fits])
     std_errors = np.array([fit.std_errors for fit in fits])
     spreads = np.array([fit.spread for fit in fits])
-    own = np.abs(np.diag(friction))
+    by_itself = np.abs(np.diag(friction))
     own_error = 2.0 * np.diag(std_errors)
 
     # Row: the joint of the torque; column: the joint of the motion.
     least = np.maximum(SIGMAS * std_errors, SHARE * spreads[:, None])
     is_there = friction > np.maximum(least, own_error)
-    own_is_not = own < np.maximum(max_own * friction, own_error)
+    own_is_not = by_itself < np.maximum(max_own * friction, own_error)
     is_alien = is_there & own_is_not
     # The motion of a joint that stands shows nowhere.
-    stands: Mask = ~np.isin(np.arange(len(own)), moving)
+    stands: Mask = ~np.isin(np.arange(len(by_itself)), moving)
     fits_other = is_alien | stands
     return [
         (a, b)
-        for a, b in combinations(range(len(own)), 2)
+        for a, b in combinations(range(len(by_itself)), 2)
         if fits_other[a, b] and fits_other[b, a] and not (stands[a] and stands[b])
     ]

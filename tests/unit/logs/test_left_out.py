@@ -67,9 +67,9 @@ def test_a_joint_that_stands_is_taken_there(suffix: str, tmp_path: Path) -> None
     path = robot_file(tmp_path, "pan", "elbow")
     with pytest.warns(SeqidWarning) as said:
         inputs = prepare(log, path)
-    assert [str(one.message) for one in said] == list(inputs.said)
-    assert "lift lies between 'pan' and 'elbow'" in inputs.said[0]
-    assert [text.split(" lies")[0].split()[-1] for text in inputs.said] == [
+    assert [str(one.message) for one in said] == list(inputs.robot_remarks)
+    assert "lift lies between 'pan' and 'elbow'" in inputs.robot_remarks[0]
+    assert [text.split(" lies")[0].split()[-1] for text in inputs.robot_remarks] == [
         "lift",
         "turn",
     ]
@@ -122,7 +122,7 @@ def test_nothing_is_said_of_others(
     log = write(tmp_path / "log.parquet", positions(**standing))
     path = robot_file(tmp_path, *names)
     inputs = prepare(log, path)
-    assert inputs.said == ()
+    assert inputs.robot_remarks == ()
     assert not {"joint_left_out", "joint_stands"} & {
         finding.code for finding in inspect_log(log, inputs.robot).findings
     }
@@ -133,7 +133,7 @@ def test_a_log_without_the_joint_is_read_as_before(tmp_path: Path) -> None:
     log = write_parquet(
         tmp_path / "log.parquet", T, ("pan", "turn", "elbow"), q, torque=q
     )
-    assert prepare(log, robot_file(tmp_path, "pan", "turn", "elbow")).said == ()
+    assert prepare(log, robot_file(tmp_path, "pan", "turn", "elbow")).robot_remarks == ()
 
 
 def test_zeros_of_a_second_publisher_are_no_motion(tmp_path: Path) -> None:
@@ -145,5 +145,5 @@ def test_zeros_of_a_second_publisher_are_no_motion(tmp_path: Path) -> None:
     log = write_messages(tmp_path / "log.mcap", both, encoding="cdr")
     with pytest.warns(SeqidWarning):
         inputs = prepare(log, robot_file(tmp_path, "pan", "elbow"))
-    assert "where it stands in the log, 0.7 rad" in inputs.said[0]
-    assert "where it stands in the log, -1.1 rad" in inputs.said[1]
+    assert "where it stands in the log, 0.7 rad" in inputs.robot_remarks[0]
+    assert "where it stands in the log, -1.1 rad" in inputs.robot_remarks[1]

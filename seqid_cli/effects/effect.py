@@ -428,6 +428,17 @@ class Effect:
         """Yield first values of settings that are not asked for."""
         return iter(())
 
+    def size_in(self, settings: Settings) -> float | None:
+        """Return the first coefficient as the settings have it; None if none has.
+
+        Such a setting shapes the columns, and the shape tells the size as well.
+        """
+        return None
+
+    def with_size(self, settings: Settings, size: float) -> dict[str, float]:
+        """Return the settings where the first coefficient is of another size."""
+        return dict(settings)
+
     def simpler(self, settings: Settings) -> dict[str, float] | None:
         """Return settings of the same effect with fewer coefficients; None if none."""
         return None

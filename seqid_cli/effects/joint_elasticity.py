@@ -190,6 +190,16 @@ class JointElasticity(Effect):
             columns[joint] = columns[joint] - deviation.rotor * acceleration[:, None]
         return columns
 
+    def size_in(self, settings: Settings) -> float | None:
+        """Return the compliance of the trial stiffness, which says where it rings."""
+        if _encoder_on_link(settings):
+            return None
+        return 1.0 / settings["trial_stiffness"]
+
+    def with_size(self, settings: Settings, size: float) -> dict[str, float]:
+        """Return the settings of another compliance."""
+        return {**settings, "trial_stiffness": 1.0 / size}
+
     def link_angle(self, scene: Scene, joint: int, settings: Settings) -> Array | None:
         """Return the twist, if the encoder is on the motor."""
         deviation = self.deviation(scene.robot, joint, settings)

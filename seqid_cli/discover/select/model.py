@@ -39,6 +39,8 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
+# Of the logarithm of a size, over which its coefficient is differentiated.
+SHAPE_STEP = 0.05
 SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence chooses
 
 
@@ -510,7 +512,8 @@ class Model:
     def covariance(self, term: Term) -> Array:
         """Return the covariance (k, k) of these coefficients.
 
-        It is no narrower than they scatter over blocks.
+        It is no narrower than they scatter over blocks. Where size and shape of an
+        effect disagree, that is an error as well.
         """
         first = self.where(term).start
         at = slice(first, first + term.what.size)
@@ -518,7 +521,38 @@ class Model:
         scatter = np.diag(self.linear.jackknife(at))
         ratio = scatter / np.maximum(np.diag(by_noise), 1e-300)
         widening = np.sqrt(np.maximum(ratio, 1.0))
-        return np.asarray(by_noise * np.outer(widening, widening))
+        covariance = np.asarray(by_noise * np.outer(widening, widening))
+        if isinstance(term.what, Candidate):
+            size = float(self.linear.theta[at][0])
+            covariance[0, 0] += (size * self._shape_error(term, term.what, size)) ** 2
+        return covariance
+
+    def _shape_error(self, term: Term, candidate: Candidate, size: float) -> float:
+        """Return by which share a first coefficient is off, as its shape has another.
+
+        The coefficient c depends on the size s by which its columns are shaped. Both
+        are the same where log c(s) = log s: to first order that is, with the slope k of
+        log c over log s, at log c + k / (1 - k) log(c / s).
+        """
+        in_shape = candidate.effect.size_in(candidate.settings)
+        if in_shape is None or size <= 0.0:
+            return 0.0
+        apart = float(np.log(size / in_shape))
+
+        # The shape may be so wrong that it tells nothing: then all of it is an error.
+        tuner = self.ground.tuner(self.beside(term))
+        logarithms = []
+        for step in (-SHAPE_STEP, SHAPE_STEP):
+            settings = candidate.effect.with_size(
+                candidate.settings, in_shape * float(np.exp(step))
+            )
+            moved = tuner.tried([replace(candidate, settings=settings)])
+            if not moved:
+                return abs(apart)
+            logarithms.append(np.log(float(moved[0].fit.coefficients[0])))
+        slope = float(logarithms[1] - logarithms[0]) / (2.0 * SHAPE_STEP)
+        share = slope / max(abs(1.0 - slope), 1e-3)
+        return min(abs(share), 1.0) * abs(apart)
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Return the weighted square of a term's torque beside the file at channels."""

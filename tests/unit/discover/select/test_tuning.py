@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.select.model import Model
+from seqid_cli.discover.select.terms import effects
 from seqid_cli.discover.select.tuning import FittedTerm, Tuner
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
@@ -84,3 +86,25 @@ def test_a_resonance_is_met_and_followed_to_its_damping() -> None:
     blunt = replace(found.candidate, settings=settings | {"damping_ratio": 0.15})
     (rival,) = tuner_in(model).tried([blunt])
     assert rival.evidence < found.evidence
+
+
+@pytest.mark.parametrize(("times", "damping_ratio"), [(0.75, 0.03), (1.4, 0.15)])
+def test_what_size_and_shape_disagree_by_is_an_error(
+    times: float, damping_ratio: float
+) -> None:
+    """The resonance is taken for another: the stiffness is off, and says so."""
+    stiffness = 2500.0
+    model = model_of([sprung(Gear(stiffness, 2.7), seed) for seed in range(2)])
+    off = candidate(
+        "joint_elasticity",
+        0,
+        trial_stiffness=times * stiffness,
+        encoder_side=0.0,
+        damping_ratio=damping_ratio,
+    )
+    model.terms = effects(model.ground.stage, [off], model.ground.size)
+    model.settle()
+    (term,) = model.terms
+    distance = abs(float(model.coefficients(term)[0]) - 1.0 / stiffness)
+    assert distance > 4.0 * float(np.sqrt(model.variances(term)[0]))
+    assert distance < 2.0 * float(np.sqrt(model.covariance(term)[0, 0]))

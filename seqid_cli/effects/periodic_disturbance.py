@@ -5,12 +5,12 @@
 A [N m], f [Hz]. Where the logs share a clock, t counts from the first log and one phase
 p serves all; the frequency is then known to a small part of one over the time that the
 logs span. Otherwise t counts from each log's start and every log has a phase of its own
-(`clocks` says how many): such a line is known to be there, but cannot be predicted for
-another log.
+(`clocks` says how many), as where the phase wanders from log to log: such a line is
+known to be there, but cannot be predicted for another log.
 
 A line is not taken for a disturbance if the motion makes it: if it is missing in some
-of the logs, if its phase wanders, or if the modelled torque has a line there of
-comparable size.
+of the logs that could show it, if its phase wanders within a log, or if the modelled
+torque has a line there of comparable size.
 """
 
 from collections.abc import Mapping, Sequence
@@ -98,16 +98,7 @@ def strongest_lines(
     # Four frequencies per resolution of the longest log.
     spacing = 0.25 / longest_s
     grid = np.arange(low, top, spacing)
-    power = np.zeros(len(grid))
-    for signal in signals:
-        frequency, spectrum = periodogram(
-            signal.values,
-            signal.rate_hz,
-            "hann",
-            4 * len(signal.values),
-            scaling="spectrum",
-        )
-        power += np.interp(grid, frequency, spectrum)
+    power = _power(signals, grid)
 
     width = max(9, int(NEIGHBOURHOOD_HZ / spacing))
     floor = median_filter(power, size=min(width, len(grid)), mode="nearest")
@@ -122,6 +113,33 @@ def strongest_lines(
         if all(abs(grid[k] - line) > 4.0 / longest_s for line in lines):
             lines.append(float(grid[k]))
     return lines
+
+
+def _power(signals: Sequence[Signal], frequencies: Array) -> Array:
+    """Return the summed power (F,) of some logs at frequencies (F,) Hz."""
+    power = np.zeros(len(frequencies))
+    for signal in signals:
+        frequency, spectrum = periodogram(
+            signal.values,
+            signal.rate_hz,
+            "hann",
+            4 * len(signal.values),
+            scaling="spectrum",
+        )
+        power += np.interp(frequencies, frequency, spectrum)
+    return power
+
+
+def clearness(signals: Sequence[Signal], frequency: float) -> float:
+    """Return the power of some logs at a frequency [Hz] over that around it."""
+    longest_s = max((signal.length_s for signal in signals), default=0.0)
+    if longest_s <= 0.0:
+        return 0.0
+    spacing = 0.25 / longest_s
+    half = max(4, int(0.5 * NEIGHBOURHOOD_HZ / spacing))
+    offsets = spacing * np.arange(-half, half + 1, dtype=np.float64)
+    power = _power(signals, np.asarray(frequency + offsets, dtype=np.float64))
+    return float(power[half] / max(float(np.median(power)), 1e-300))
 
 
 def amplitude(signal: Signal, frequency: float) -> float:
@@ -203,6 +221,7 @@ COHERENT = 0.6
 SAME = 0.4  # smallest share of the median amplitude that a log may show
 # Share of the modelled torque's line below which the line is the model's error.
 OF_MOTION = 0.3
+LINE_OF_MOTION = 3.0  # power over that around it, from which the motion has a line
 
 
 class PeriodicDisturbance(Effect):
@@ -243,21 +262,24 @@ class PeriodicDisturbance(Effect):
             _without_peaks(torque, scene.slides, joint)
             for torque, scene in zip(residual, scenes, strict=True)
         ]
-        sliding = _signals(scenes, joint, residual)
-        modelled = _signals(scenes, joint, [scene.modelled for scene in scenes])
+        sliding = signals_of(scenes, joint, residual)
+        modelled = signals_of(scenes, joint, [scene.modelled for scene in scenes])
         for near in strongest_lines(sliding, LOWEST_HZ, LINES):
-            signals = _signals(scenes, joint, residual, near)
+            signals = signals_of(scenes, joint, residual, near)
+            clocks = n_clocks
             line = refined(signals, near) if on_one_clock else _by_log(signals, near)
+            # The mains wander: from log to log nobody knows their phase.
+            if on_one_clock and line.coherence < COHERENT:
+                clocks = float(len(scenes))
+                line = _by_log(signals, near)
 
-            of_logs = _amplitudes(signals, line.frequency)
-            of_sliding = np.median(_amplitudes(sliding, line.frequency))
-            of_motion = np.median(_amplitudes(modelled, line.frequency))
-            if (
-                line.coherence >= COHERENT
-                and of_logs.min() >= SAME * np.median(of_logs)
-                and of_sliding > OF_MOTION * of_motion
-            ):
-                yield {"frequency": line.frequency, "clocks": n_clocks, "span": span}
+            # A log in which the joint does not move tells nothing of it.
+            told = [signal for signal in signals if np.any(signal.values)]
+            of_logs = _amplitudes(told, line.frequency)
+            is_in_all = bool(of_logs.min() >= SAME * np.median(of_logs))
+            is_steady = line.coherence >= COHERENT and is_in_all
+            if is_steady and not _is_of_motion(line.frequency, sliding, modelled):
+                yield {"frequency": line.frequency, "clocks": clocks, "span": span}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Return sine and cosine; nothing where every log has a phase of its own."""
@@ -286,7 +308,7 @@ class PeriodicDisturbance(Effect):
             return {joint: np.zeros((scene.samples, 2))}
 
         columns = np.zeros((scene.samples, 2 * n_clocks))
-        if 0 <= scene.log < n_clocks and not scene.shared_clock:
+        if 0 <= scene.log < n_clocks:
             of_log = slice(2 * scene.log, 2 * scene.log + 2)
             columns[:, of_log] = line.columns(scene, joint)
         return {joint: columns}
@@ -323,11 +345,24 @@ class PeriodicDisturbance(Effect):
         return values
 
 
+def _is_of_motion(
+    frequency: float, sliding: Sequence[Signal], modelled: Sequence[Signal]
+) -> bool:
+    """Return whether a line [Hz] may be the error of one that the model's torque has.
+
+    A motion without a line there makes none, however large its torque is.
+    """
+    of_sliding = np.median(_amplitudes(sliding, frequency))
+    of_motion = np.median(_amplitudes(modelled, frequency))
+    is_small = bool(of_sliding <= OF_MOTION * of_motion)
+    return is_small and clearness(modelled, frequency) > LINE_OF_MOTION
+
+
 def _amplitudes(signals: Sequence[Signal], frequency: float) -> Array:
     return np.array([amplitude(signal, frequency) for signal in signals])
 
 
-def _signals(
+def signals_of(
     scenes: Scenes, joint: int, torque: Sequence[Array], line_hz: float = np.inf
 ) -> list[Signal]:
     """Return the torque (N, n) of each log where it counts for a line.

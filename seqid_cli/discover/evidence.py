@@ -15,9 +15,12 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.link_rows import KIND as LINKS
+from seqid_cli.discover.select.model import HELD, Model
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import ScoredTerm, TermResult
+from seqid_cli.discover.select.results import ScoredTerm, TermResult, again
+from seqid_cli.discover.select.search import Search
 from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.effects.smooth import Axis
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
@@ -29,6 +32,8 @@ from seqid_cli.typing import Array, Index
 Take = Callable[[int, Sequence[Array]], Array]
 
 MOST = 6  # rivals of each list that are told
+MOST_TAKEN_UP = 3  # effects that a loosened base takes up, that are told
+TAKEN_UP = 0.5  # of its gain beside the file, below which the base has an effect
 CELLS = 80  # of the quantity's range, that bins are made of
 LEAST = 0.02  # of the samples, up to which cells are joined into one bin
 GAP = 2  # cells without a sample, that no bin goes over
@@ -290,7 +295,13 @@ def rivals_of(
     rivals = _each_once(
         rival for rival in result.rivals if rival.term.key != result.term.key
     )
-    rivals.sort(key=lambda rival: rival.term.name not in likely_names)
+    # What is as likely, and what gains more, is always told.
+    gain = result.scored.score.total
+    rivals.sort(
+        key=lambda rival: (
+            rival.term.name not in likely_names and rival.score.total <= gain
+        )
+    )
     first_rivals = sorted(rivals[:MOST], key=lambda rival: -rival.score.total)
     return [
         _rival_entry(robot, rival, _why_not_in_place(rival, result, likely_names))
@@ -321,9 +332,92 @@ def tried_at(
     first_terms = _each_once(at_joint)[:MOST]
     options = investigation.ground.options
     return [
-        _rival_entry(robot, scored, _why_not_beside(scored, options))
-        for scored in first_terms
+        *_not_told_at(investigation, robot, joint),
+        *(
+            _rival_entry(robot, scored, _why_not_beside(scored, options))
+            for scored in first_terms
+        ),
     ]
+
+
+def _not_told_at(
+    investigation: Investigation, robot: Robot, joint: int
+) -> list[RivalEntry]:
+    """Return what the model has at a joint beside what is told, the largest first."""
+    model = investigation.model
+    n = investigation.ground.n
+    told_keys = {result.term.key for result in investigation.selection.terms}
+    scored_terms = [
+        again(term, model)
+        for term in model.terms
+        if term.key not in told_keys
+        and joint in {channel % n for channel in term.channels}
+    ]
+    scored_terms.sort(key=lambda scored: -scored.score.total)
+    return [
+        _rival_entry(
+            robot,
+            scored,
+            "is in the model for the sake of what is told, and not told: its name is"
+            " too unsure, or it may be the error of another law",
+        )
+        for scored in scored_terms
+    ]
+
+
+def taken_up_at(
+    investigation: Investigation, robot: Robot, joint: int
+) -> list[RivalEntry]:
+    """Return effects of a joint that a loosened base has taken up.
+
+    Beside the file as it is they gain, beside a base that may leave the file by many of
+    its errors they do not.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    joint : int
+        Index of the joint.
+    """
+    model = investigation.model
+    ground = investigation.ground
+    loosest = max(model.hold.rigid, model.hold.of(joint))
+    if loosest <= 1.0 or not ground.stage.rows.count(joint):
+        return []
+    held = Model(ground, HELD)
+    held.terms = list(model.terms)
+    held.settle()
+
+    catalogue = tuple(catalogue_of(robot).values())
+    fitted = Search(held, catalogue).effects_at(joint, held)
+    keys = {term.key for term in model.terms}
+    terms = [each.term for each in fitted if each.term.key not in keys]
+    parts = [term.part for term in terms]
+    entries = []
+    for term, score, beside_loose in zip(
+        terms, held.linear.scores(parts), model.linear.scores(parts), strict=True
+    ):
+        gain = score.total
+        is_worth_it = score.share > ground.options.improvement
+        if is_worth_it and beside_loose.total < TAKEN_UP * gain:
+            why = (
+                f"the base takes it up: held to the file it gains {gain:.0f} nats,"
+                f" beside a base that may leave the file by {loosest:g} of its errors"
+                f" {max(beside_loose.total, 0.0):.0f}"
+            )
+            entries.append(
+                RivalEntry(
+                    effect=term.name,
+                    joint=robot.name_of(term.joint),
+                    log_gain=gain,
+                    why_not=why,
+                )
+            )
+    entries.sort(key=lambda entry: -(entry.log_gain or 0.0))
+    return entries[:MOST_TAKEN_UP]
 
 
 def _each_once(scored_terms: Iterable[ScoredTerm]) -> list[ScoredTerm]:
@@ -361,6 +455,16 @@ def _why_not_in_place(
         return f"explains {percent(1.0 - reach)} less"
     of_rival = rival.term.freedom
     of_term = result.term.freedom
+    if reach > 1.0 and of_rival > of_term:
+        return (
+            f"gains {percent(reach - 1.0)} more, and needs {of_rival} parameters, not"
+            f" {of_term}"
+        )
+    if reach > 1.0:
+        return (
+            f"gains {percent(reach - 1.0)} more: no more than chance, or a share that"
+            " does not matter"
+        )
     if of_rival > of_term:
         return (
             f"needs {of_rival} parameters, not {of_term}, to reach {percent(reach)} of"

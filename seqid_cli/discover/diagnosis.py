@@ -11,14 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
+from seqid_cli.discover.contact import contact_point
 from seqid_cli.discover.evidence import (
     evidence_of,
     left_over,
     pushed,
     rivals_of,
+    taken_up_at,
     tried_at,
 )
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import (
+    Investigation,
+    event_confidences,
+    event_energies,
+    investigate,
+)
+from seqid_cli.discover.lines import clear_lines, is_line
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     deflection_notes,
@@ -29,11 +37,17 @@ from seqid_cli.discover.notes import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
-from seqid_cli.discover.select.naming import named
+from seqid_cli.discover.select.naming import NameConfidence, named
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
+from seqid_cli.discover.verdict import (
+    VERDICT_OF_STATE,
+    JointState,
+    changed_values,
+    joint_states,
+    verdict_of,
+)
 from seqid_cli.effects.apply import without_effects
 from seqid_cli.effects.effect import Effect
 from seqid_cli.effects.fitted import fitted_effects
@@ -101,24 +115,43 @@ def diagnose(
 
 def described(investigation: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
-    min_confidence = investigation.settings.evidence.min_confidence
+    investigation, nameless_results = _without_nameless(investigation)
     findings = [
         _finding(investigation, robot, result)
         for result in investigation.selection.effects
-        if named(result).confidence >= min_confidence
+    ]
+    lines = clear_lines(investigation, robot)
+    findings += lines
+    line_joints = {line.joint for line in lines}
+    nameless_results = [
+        result
+        for result in nameless_results
+        if not (
+            is_line(result.term) and robot.name_of(result.term.joint) in line_joints
+        )
     ]
     if investigation.events:
-        contact = _contact(investigation, robot)
-        if contact.confidence >= min_confidence:
-            findings.append(contact)
-            investigation = investigation.without_told_events()
+        findings.append(_contact(investigation, robot))
+        investigation = investigation.without_told_events()
     findings.sort(key=lambda each: (-round(each.confidence, 2), -each.explains))
 
-    unexplained = _largest_functions(investigation, robot)
     ordinary = expected(investigation)
     with_detail = investigation.floor.with_detail(detail_of(investigation))
     investigation = replace(investigation, floor=with_detail)
-    states = joint_states(investigation, ordinary, investigation.floor.high)
+    most_of_noise = np.maximum(
+        investigation.floor.high, diagnosis.MORE_THAN_NOISE * ordinary
+    )
+    nameless = _nameless_by_joint(investigation, nameless_results, most_of_noise)
+    states = joint_states(
+        investigation, ordinary, investigation.floor.high, nameless=nameless
+    )
+    unexplained = _largest_functions(investigation, robot)
+    with_function = {part.joint for part in unexplained}
+    unexplained += [
+        _nameless(investigation, robot, joint, result)
+        for joint, result in nameless.items()
+        if robot.joint_names[joint] not in with_function
+    ]
 
     # Joints that leave too much though nothing is told there.
     excess = excess_residuals(investigation, ordinary)
@@ -127,7 +160,7 @@ def described(investigation: Investigation, robot: Robot) -> diagnosis.Diagnosis
             rms_left = investigation.file_rms[joint]
             excess[joint] = float(rms_left / max(ordinary[joint], 1e-12))
     for joint, times in excess.items():
-        is_explained = joint in investigation.explained_joints
+        is_explained = joint in investigation.explained_joints or joint in nameless
         if not is_explained and states[joint] != "too_short":
             unexplained.append(_excess(investigation, robot, joint, times))
 
@@ -146,11 +179,71 @@ def described(investigation: Investigation, robot: Robot) -> diagnosis.Diagnosis
         findings=findings,
         unexplained=unexplained,
         changed=changed,
-        joints=_joints(investigation, robot),
+        joints=_joints(investigation, robot, states),
         events=_events(investigation, robot),
         hidden=_hidden(investigation, robot),
         notes=notes_of(investigation, robot, ordinary, excess, named_joints),
     )
+
+
+def _without_nameless(
+    investigation: Investigation,
+) -> tuple[Investigation, list[TermResult]]:
+    """Take out of what is told the effects whose names are too unsure.
+
+    They stay in the model, for the sake of the other terms.
+
+    Returns
+    -------
+    Investigation
+        Without them.
+    list of TermResult
+        The effects, the largest share of the squared error first.
+    """
+    min_confidence = investigation.settings.evidence.min_confidence
+    told: list[TermResult] = []
+    nameless: list[TermResult] = []
+    for result in investigation.selection.terms:
+        is_sure = (
+            result.term.smooth
+            or _name_of(investigation, result).confidence >= min_confidence
+        )
+        (told if is_sure else nameless).append(result)
+    selection = replace(investigation.selection, terms=tuple(told))
+    nameless.sort(key=lambda result: -result.scored.score.share)
+    return replace(investigation, selection=selection), nameless
+
+
+def _nameless_by_joint(
+    investigation: Investigation, results: Sequence[TermResult], most_of_noise: Array
+) -> dict[int, TermResult]:
+    """Return nameless effects by the joint that shows them most, one a joint.
+
+    Only those count without which more than noise (n,) N m is left there.
+    """
+    by_joint: dict[int, TermResult] = {}
+    for result in results:
+        rms_without = {
+            joint: rms(result.left_without[joint])
+            for joint in joints_below(result.term.channels, investigation.ground.n)
+        }
+        too_much = {
+            joint: left / max(most_of_noise[joint], 1e-12)
+            for joint, left in rms_without.items()
+            if left > most_of_noise[joint]
+        }
+        if too_much:
+            joint = max(too_much, key=lambda each: too_much[each])
+            by_joint.setdefault(joint, result)
+    return by_joint
+
+
+def _name_of(investigation: Investigation, result: TermResult) -> NameConfidence:
+    """Return how sure an effect is, beside what the finished model leaves."""
+    joints = joints_below(result.term.channels, investigation.ground.n)
+    floor = np.maximum(investigation.floor.rms[joints], 1e-12)
+    floors_left = investigation.model.rms()[joints] / floor
+    return named(result, float(np.max(floors_left, initial=1.0)))
 
 
 def _largest_functions(
@@ -177,6 +270,7 @@ def _events(investigation: Investigation, robot: Robot) -> list[diagnosis.EventE
                 start=log.offset + event.start,
                 end=log.offset + event.end,
                 joints=[robot.joint_names[joint] for joint in event.joints],
+                contact=contact_point(investigation, robot, event),
             )
         )
     return entries
@@ -195,37 +289,15 @@ def _hidden(investigation: Investigation, robot: Robot) -> list[diagnosis.Hidden
 
 
 def _contact(investigation: Investigation, robot: Robot) -> diagnosis.FindingEntry:
-    """Return the finding that stands for all events.
-
-    A push stands alone. Where much more than noise is left all along, the largest
-    moment of it may be nothing else: it is no surer than its share in what is unknown
-    at its joints.
-    """
+    """Return the finding that stands for all events, as sure as the surest of them."""
     effect = CATALOGUE["external_contact"]
-    rows = investigation.ground.stage.rows
     events = investigation.events
-    floor = np.maximum(investigation.floor.rms, 1e-12)
-    left_by_scene = investigation.model.left()
-
-    # Squares beyond noise, in units of noise, of each event and of each joint in all.
-    energies = [
-        event.energy(rows.scenes[event.scene], left_by_scene[event.scene] / floor)
-        for event in events
-    ]
-    beyond_noise = np.maximum((investigation.model.rms() / floor) ** 2 - 1.0, 0.0)
-    energy_of_joint = beyond_noise * [rows.count(joint) for joint in range(rows.n)]
-    shares = []
-    for event, energy in zip(events, energies, strict=True):
-        at_joints = sum(energy_of_joint[joint] for joint in event.joints)
-        shares.append(energy / max(energy + at_joints, 1e-300))
-
+    energies, _ = event_energies(investigation)
     in_events = sum(energies)
     in_terms = sum(
         max(result.scored.score.total, 0.0) for result in investigation.selection.terms
     )
-    min_sigma = investigation.settings.events.min_sigma
-    certainty = max(event.certainty(min_sigma) for event in events)
-    confidence = float(certainty * max(shares))
+    confidence = max(event_confidences(investigation))
     return diagnosis.FindingEntry(
         effect=effect.name,
         joint=None,
@@ -252,8 +324,7 @@ def _finding(
     rms_before = np.array([rms(result.left_without[joint]) for joint in joints])
     rms_after = model.rms()[joints]
     floor = investigation.floor.rms[joints]
-    floors_left = rms_after / np.maximum(floor, 1e-12)
-    name = named(result, float(np.max(floors_left, initial=1.0)))
+    name = _name_of(investigation, result)
 
     # Share of the variance above the noise floor that goes; all where no more is left.
     scale = np.maximum(rms_after, 1e-12)
@@ -376,6 +447,32 @@ def _unexplained(
     )
 
 
+def _nameless(
+    investigation: Investigation, robot: Robot, joint: int, result: TermResult
+) -> diagnosis.UnexplainedPart:
+    """Describe what is missing at a joint, where no name for it is sure enough."""
+    score = result.scored.score
+    functions = [
+        rival.term.what
+        for rival in result.rivals
+        if isinstance(rival.term.what, SmoothFunction)
+        and rival.term.what.joint == joint
+    ]
+    largest = max(rival.score.total for rival in result.rivals)
+    return diagnosis.UnexplainedPart(
+        joint=robot.joint_names[joint],
+        depends_on=list(functions[0].quantities) if functions else [],
+        share=float(np.clip(score.share, 0.0, 1.0)),
+        closest=diagnosis.ClosestEffect(
+            effect=result.term.name,
+            share=float(np.clip(score.total / max(largest, 1e-300), 0.0, 1.0)),
+        ),
+        log_gain=score.total,
+        evidence=evidence_of(investigation, robot, result),
+        rivals=rivals_of(robot, result, _name_of(investigation, result).others),
+    )
+
+
 def _excess(
     investigation: Investigation, robot: Robot, joint: int, times: float
 ) -> diagnosis.UnexplainedPart:
@@ -385,7 +482,10 @@ def _excess(
     """
     ground = investigation.ground
     part = diagnosis.UnexplainedPart(
-        joint=robot.joint_names[joint], depends_on=[], share=1.0 - times**-2
+        joint=robot.joint_names[joint],
+        depends_on=[],
+        share=1.0 - times**-2,
+        closest=_closest_untaken(investigation, joint),
     )
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     fits = investigation.model.linear.fits([term.part for term in terms])
@@ -402,8 +502,25 @@ def _excess(
     return part
 
 
+def _closest_untaken(
+    investigation: Investigation, joint: int
+) -> diagnosis.ClosestEffect | None:
+    """Return the effect of the largest gain at a joint that was not taken, if any."""
+    n = investigation.ground.n
+    gaining = [
+        scored
+        for scored in investigation.selection.untaken
+        if joint in joints_below(scored.term.channels, n) and scored.score.total > 0.0
+    ]
+    for scored in gaining:  # the largest gain first
+        if not scored.term.smooth:
+            share = scored.score.total / gaining[0].score.total
+            return diagnosis.ClosestEffect(effect=scored.term.name, share=share)
+    return None
+
+
 def _joints(
-    investigation: Investigation, robot: Robot
+    investigation: Investigation, robot: Robot, states: Sequence[JointState]
 ) -> dict[str, diagnosis.ResidualEntry]:
     """Return the residual of each joint.
 
@@ -412,11 +529,23 @@ def _joints(
     rows = investigation.ground.stage.rows
     floor = investigation.floor
     is_white = white(rows, investigation.model.left())
+    with_effect = {
+        channel % rows.n
+        for result in investigation.selection.effects
+        for channel in result.term.channels
+    }
     rms_explained = investigation.model.rms()
     entries = {}
     for joint, name in enumerate(robot.joint_names):
         samples = investigation.file_residual.samples[joint]
         has_floor = samples > 0 and floor.rms[joint] > 0.0
+        tried = tried_at(investigation, robot, joint)
+        # Where noise alone is left a loosened base has taken up nothing that matters.
+        if states[joint] not in ("noise", "unseen"):
+            tried += taken_up_at(investigation, robot, joint)
+        verdict = VERDICT_OF_STATE[states[joint]]
+        if verdict == "effect_found" and joint not in with_effect:
+            verdict = "unexplained"  # by a function alone
         entries[name] = diagnosis.ResidualEntry(
             rmse=float(investigation.file_rms[joint]) if samples else None,
             noise_floor=float(floor.rms[joint]) if has_floor else None,
@@ -424,6 +553,7 @@ def _joints(
             white=bool(is_white[joint]),
             rmse_explained=float(rms_explained[joint]) if rows.count(joint) else None,
             samples=samples,
-            tried=tried_at(investigation, robot, joint),
+            verdict=verdict,
+            tried=tried,
         )
     return entries

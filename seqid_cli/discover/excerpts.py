@@ -252,12 +252,8 @@ def _standing_out(
     """Return the places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.values[-1]).any():
         return []
-    scored = []
-    for length_s in events.LENGTHS_S:
-        windows = events.windows_of([track], length_s)
-        if len(windows.centre):
-            scored.append((windows, events.scores(windows)))
-    return events.places(0, scored, settings)
+    (in_span,) = events.standing_out([track], settings)
+    return in_span
 
 
 def _strongest(places: Iterable[events.Interval]) -> tuple[events.Interval, ...]:

@@ -1,8 +1,9 @@
 """The investigation behind a diagnosis: data sets, rows, selection, events, noise.
 
-Short stretches that stand out against everything else the logs show are events. They
-are taken out, and so are samples at which the torque of an effect is not known. Then
-the selection goes on.
+Stretches that stand out against everything else the logs show are events. They are
+taken out, and so are samples at which the torque of an effect is not known. Then the
+selection goes on. What may be a push of seconds is left out from the first: it would
+pass for an effect. Whatever is not told as an event in the end goes back in.
 """
 
 from collections.abc import Sequence
@@ -24,8 +25,9 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.discover.survey.events import Interval, find_events
+from seqid_cli.discover.survey.events import Interval, find_events, stretches_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
+from seqid_cli.discover.survey.stretches import Stretch
 from seqid_cli.effects.scene import Scene
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.differentiation import shrink
@@ -36,6 +38,9 @@ from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
 AROUND_S = 0.5  # on either side of an event, in which the torque swings
+KNOWN_S = 0.3  # of an event that tell enough of it, however long its joints rest
+# of a joint's rows that must stay beside what may be pushes, to tell what is usual
+LEAST_BESIDE = 1.0 / 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +161,8 @@ class Investigation:
 
     def without_told_events(self) -> "Investigation":
         """Let samples of events not count for the file: a finding stands for them."""
+        if not self.events:
+            return self
         scenes = self.file_residual.rows.scenes
         masks = [np.zeros_like(scene.slides) for scene in scenes]
         _mark(self.events, scenes, masks)
@@ -193,46 +200,126 @@ def investigate(
 
     step("choosing effects", 4, 10)
     ground = SelectionProblem.of(rows, stages, selection_options)
-    file_residual = FileResidual.of(ground)
-    selection = select(ground)
+    first_rows = _without_stretches(
+        rows, stretches_of(rows, ground.base.y, settings.events)
+    )
+    if first_rows is rows:
+        selection = select(ground)
+    else:
+        selection = select(SelectionProblem.of(first_rows, stages, selection_options))
 
     # Events, and samples at which the torque of an effect is not known, are left out.
     step("looking for events", 8, 10)
     first_model = selection.model
-    left_out = guessed(first_model)
-    events = events_of(first_model, left_out, settings)
-    _mark(events, rows.scenes, left_out)
-    remaining = rows.without(left_out)
+    unknown = guessed(first_model)
+    events = not_of_terms(events_of(first_model, unknown, settings, rows), first_model)
 
     step("choosing effects again", 8, 10)
-    is_changed = not all(map(np.array_equal, remaining.used, rows.used))
-    if is_changed:
-        selection = select_among(
-            SelectionProblem.of(remaining, stages, selection_options),
-            first_model.hold,
-            first_model.candidates,
-        )
-        selection.run()
-    result = selection.told(least)
-    events = not_of_terms(events, first_model)
+    while True:
+        left_out = [mask.copy() for mask in unknown]
+        _mark(events, rows.scenes, left_out)
+        remaining = rows.without(left_out)
+        if not _is_same(remaining, selection.model.ground.stage.rows):
+            selection = select_among(
+                SelectionProblem.of(remaining, stages, selection_options),
+                first_model.hold,
+                first_model.candidates,
+            )
+            selection.run()
+        result = selection.told(least)
 
-    step("estimating the noise", 9, 10)
-    rows = result.model.ground.stage.rows
-    floor = noise_floor(
-        logs,
-        rows.scenes,
-        result.model.left(),
-        encoder_residuals(logs, rows.scenes),
-        rows=rows,
-    )
-    return Investigation(
-        logs=tuple(logs),
-        selection=result,
-        floor=floor,
-        events=tuple(events),
-        file_residual=file_residual,
-        settings=settings,
-    )
+        step("estimating the noise", 9, 10)
+        remaining = result.model.ground.stage.rows
+        investigation = Investigation(
+            logs=tuple(logs),
+            selection=result,
+            floor=noise_floor(
+                logs,
+                remaining.scenes,
+                result.model.left(),
+                encoder_residuals(logs, remaining.scenes),
+                rows=remaining,
+            ),
+            events=tuple(events),
+            file_residual=FileResidual.of(ground),
+            settings=settings,
+        )
+        # What is too unsure to be told goes back in.
+        min_confidence = settings.evidence.min_confidence
+        told_events = [
+            event
+            for event, confidence in zip(
+                events, event_confidences(investigation), strict=True
+            )
+            if confidence >= min_confidence
+        ]
+        if len(told_events) == len(events):
+            return investigation
+        events = told_events
+
+
+def _without_stretches(rows: Rows, stretches: Sequence[Sequence[Stretch]]) -> Rows:
+    """Return rows without some stretches of each log, if enough stays of each joint."""
+    masks = [np.zeros_like(scene.slides) for scene in rows.scenes]
+    for scene, mask, of_log in zip(rows.scenes, masks, stretches, strict=True):
+        t = scene.motion.t - scene.motion.t[0]
+        reach_s = 0.5 / scene.motion.lowpass.cutoff_hz
+        for start, end in of_log:
+            mask[(t >= start - reach_s) & (t <= end + reach_s)] = True
+    if not any(mask.any() for mask in masks):
+        return rows
+
+    beside = rows.without(masks)
+    counts = np.array([rows.count(joint) for joint in range(rows.n)])
+    counts_beside = np.array([beside.count(joint) for joint in range(rows.n)])
+    return beside if np.all(counts_beside >= LEAST_BESIDE * counts) else rows
+
+
+def _is_same(rows: Rows, others: Rows) -> bool:
+    """Return whether the same samples count in both."""
+    return all(map(np.array_equal, rows.used, others.used))
+
+
+def event_confidences(investigation: Investigation) -> list[float]:
+    """Return how sure each event is.
+
+    A push stands alone. Where much more than noise is left all along, the largest
+    moment of it may be nothing else: it is no surer than its share in what is unknown
+    at its joints.
+    """
+    events = investigation.events
+    if not events:
+        return []
+    energies, energy_of_joint = event_energies(investigation)
+    min_sigma = investigation.settings.events.min_sigma
+    confidences = []
+    for event, energy in zip(events, energies, strict=True):
+        at_joints = sum(energy_of_joint[joint] for joint in event.joints)
+        share = energy / max(energy + at_joints, 1e-300)
+        confidences.append(float(event.certainty(min_sigma) * share))
+    return confidences
+
+
+def event_energies(investigation: Investigation) -> tuple[list[float], Array]:
+    """Return squares beyond noise, in units of noise.
+
+    Returns
+    -------
+    list of float
+        Of each event.
+    (n,) array
+        Of each joint in all that is left without the events.
+    """
+    model = investigation.model
+    rows = investigation.ground.stage.rows
+    floor = np.maximum(investigation.floor.rms, 1e-12)
+    left_by_scene = model.left()
+    energies = [
+        event.energy(rows.scenes[event.scene], left_by_scene[event.scene] / floor)
+        for event in investigation.events
+    ]
+    beyond_noise = np.maximum((model.rms() / floor) ** 2 - 1.0, 0.0)
+    return energies, beyond_noise * [rows.count(joint) for joint in range(rows.n)]
 
 
 def _mark(
@@ -318,6 +405,7 @@ def events_of(
     model: Model,
     guess: Sequence[Mask],
     settings: DiscoverSettings = DiscoverSettings(),
+    rows: Rows | None = None,
     *,
     most: float = 0.5,
 ) -> list[Interval]:
@@ -331,13 +419,16 @@ def events_of(
         By data set, where an effect may have any torque.
     settings : DiscoverSettings
         Numbers that decide.
+    rows : Rows, optional
+        Where events are looked for, also where the model was not fitted; by default its
+        own rows.
     most : float
         Share of an event's samples that may be unknown: by `guess`, or as a joint does
         not slide, or stops above the cut-off.
     """
-    rows = model.ground.stage.rows
+    rows = rows or model.ground.stage.rows
     left_by_scene = model.left()
-    left_out = model.linear.left_out[: rows.n]
+    left_out = _not_fitted(model, rows, left_by_scene)
     scaled = [
         residual / sigma
         for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
@@ -345,13 +436,45 @@ def events_of(
     events: list[Interval] = []
     for event in find_events(rows, scaled, settings.events):
         scene = rows.scenes[event.scene]
-        is_unknown = guess[event.scene] | scene.stops | ~scene.slides
-        at_joints = is_unknown[event.inside(scene)][:, list(event.joints)]
-        is_known = np.mean(at_joints) <= most
+        inside = event.inside(scene)
+        joints = list(event.joints)
+        slides = scene.slides[inside][:, joints]
+        unknown = (guess[event.scene] | scene.stops)[inside][:, joints]
+        is_known = np.mean(unknown | ~slides) <= most
+        # Joints may rest in turn while the arm is pushed: then what slides must tell.
+        known_s = np.max(np.sum(slides & ~unknown, axis=0)) / scene.motion.rate_hz
+        if not is_known and known_s >= KNOWN_S:
+            is_known = np.sum(unknown & slides) <= most * np.sum(slides)
         residual = left_by_scene[event.scene]
         if is_known and not of_law(event, scene, residual, settings):
             events.append(event)
     return events
+
+
+def _not_fitted(
+    model: Model, rows: Rows, left_by_scene: Sequence[Array]
+) -> list[Array]:
+    """Return what is left (M_j,) of each joint's rows, where they were not fitted.
+
+    A row of the model's blocks is predicted by all other blocks, one that the model has
+    not by all of them.
+    """
+    fitted_rows = model.ground.stage.rows
+    left_out = list(model.linear.left_out[: rows.n])
+    if _is_same(fitted_rows, rows):
+        return left_out
+    result = []
+    for joint, of_blocks in enumerate(left_out):
+        values = rows.torque(joint, [of_scene[:, joint] for of_scene in left_by_scene])
+        is_fitted = np.concatenate(
+            [
+                of_model[used[:, joint], joint]
+                for used, of_model in zip(rows.used, fitted_rows.used, strict=True)
+            ]
+        )
+        values[is_fitted] = of_blocks
+        result.append(values)
+    return result
 
 
 def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:

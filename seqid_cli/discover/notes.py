@@ -8,7 +8,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.survey.rows import extrapolated
-from seqid_cli.discover.verdict import predicted_worse
+from seqid_cli.discover.verdict import is_drowned, predicted_worse
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.motion.torque_noise import DETAIL
@@ -90,6 +90,7 @@ def notes_of(
     delays = shown_delays(investigation)
     named_joints = {*unexplained, *(names[joint] for joint in (*delays, *excess))}
     rms_left = np.minimum(investigation.model.rms(), investigation.file_rms)
+    is_seen = np.array(investigation.file_residual.samples) > 0
     return [
         *(_delay_note(names[joint], delay) for joint, delay in delays.items()),
         *(
@@ -102,7 +103,7 @@ def notes_of(
         *outside_notes(investigation, robot, ordinary),
         *unseen_note(investigation, robot),
         *_free_base_notes(investigation, robot),
-        *investigation.floor.doubts(rms_left, robot.joints),
+        *investigation.floor.doubts(np.where(is_seen, rms_left, np.nan), robot.joints),
     ]
 
 
@@ -165,23 +166,32 @@ def file_notes(
 
 
 def unseen_note(investigation: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Say of which joints no sample could be looked at."""
+    """Say of which joints nothing could be looked at, and why."""
     samples = investigation.file_residual.samples
     names = [
         joint.name
         for joint, n_samples in zip(robot.joints, samples, strict=True)
         if not n_samples
     ]
-    if not names:
-        return ()
-    return (
-        (
+    notes = []
+    if names:
+        notes.append(
             f"no sample of {', '.join(names)} could be looked at: samples count where a"
             " joint surely slides, at speeds and positions at which friction was"
             " identified, in at least three parts of the logs; record motions of some"
             " ten seconds in which it does"
-        ),
-    )
+        )
+    drowned = [
+        joint.name
+        for number, joint in enumerate(robot.joints)
+        if samples[number] and is_drowned(investigation, number)
+    ]
+    if drowned:
+        notes.append(
+            f"noise of torque and encoder is as large as the torque of"
+            f" {', '.join(drowned)}: these logs hide whatever may be missing there"
+        )
+    return tuple(notes)
 
 
 def _free_base_notes(investigation: Investigation, robot: Robot) -> tuple[str, ...]:

@@ -41,6 +41,9 @@ class EvidenceSettings(Group):
     )
 
 
+LOG_S = 20.0  # of a log, up to which it may have `most` events
+
+
 @dataclass(frozen=True, kw_only=True)
 class EventSettings(Group):
     """Which short stretches count as pushes from outside."""
@@ -53,19 +56,23 @@ class EventSettings(Group):
         high=100.0,
     )
     longest: float = setting(
-        2.0,
+        20.0,
         unit="s",
         reason="that one event may last; what lasts longer is an effect or a load",
         low=0.1,
         high=60.0,
     )
-    max_time: float = setting(
-        0.05,
-        unit="of a log",
-        reason="that events may fill, else what stands out there is no event",
-        low=1e-3,
-        high=0.5,
+    most: int = setting(
+        3,
+        unit="of a log, or of 20 s of a longer one",
+        reason="that events may be, else it is a law that errs",
+        low=1,
+        high=100,
     )
+
+    def most_in(self, log_s: float) -> float:
+        """Return how many events a log of some seconds may have."""
+        return self.most * max(log_s / LOG_S, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,8 @@ The parameter file is judged as it came, on all rows that it sees. A model that 
 fitted to these rows says why more than noise is left: where it leaves noise only, the
 form of the model is right and the file's values are not; where it leaves more,
 something is missing that no effect explains; where it predicts left-out blocks worse
-than the file does, the logs are too short to tell.
+than the file does, the logs are too short to tell. A joint of which nothing was seen
+does not pass for one of which nothing is missing.
 """
 
 from __future__ import annotations
@@ -20,15 +21,28 @@ from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 JointState = Literal["unseen", "noise", "found", "changed", "too_short", "unexplained"]
+VERDICT_OF_STATE: dict[JointState, diagnosis.DiagnosisVerdict] = {
+    "unseen": "nothing_seen",
+    "noise": "nothing_missing",
+    "found": "effect_found",
+    "changed": "values_changed",
+    "too_short": "too_short",
+    "unexplained": "unexplained",
+}
 
 FITTED = 0.5  # of what the file leaves, below which a fitted model blames its values
 
 
 def joint_states(
-    investigation: Investigation, ordinary: Array, most_of_noise: Array
+    investigation: Investigation,
+    ordinary: Array,
+    most_of_noise: Array,
+    *,
+    nameless: Collection[int] = (),
 ) -> list[JointState]:
     """Return what the file leaves of each joint's torque.
 
@@ -40,6 +54,8 @@ def joint_states(
         RMS torque that a right model leaves [N m; N where prismatic].
     most_of_noise : (n,) array
         The most that it leaves: the upper end of the noise floor's interval.
+    nameless : collection of int
+        Joints at which something is missing whose name is too unsure to be told.
 
     Returns
     -------
@@ -52,6 +68,7 @@ def joint_states(
             joint,
             many_floors=MORE_THAN_NOISE * ordinary[joint],
             most_of_noise=most_of_noise[joint],
+            is_nameless=joint in nameless,
         )
         for joint in range(investigation.ground.n)
     ]
@@ -63,6 +80,7 @@ def _state(
     *,
     many_floors: float,
     most_of_noise: float,
+    is_nameless: bool,
 ) -> JointState:
     """Return what the file leaves of a joint's torque; both bounds in N m."""
     if investigation.file_residual.samples[joint] == 0:
@@ -72,7 +90,9 @@ def _state(
 
     left_by_file = investigation.file_rms[joint]
     if left_by_file <= min(most_of_noise, many_floors):
-        return "noise"
+        return "unseen" if is_drowned(investigation, joint) else "noise"
+    if is_nameless:
+        return "unexplained"
     has_no_floor = investigation.floor.rms[joint] <= 0.0
     if has_no_floor or predicted_worse(investigation, joint):
         return "too_short"
@@ -89,6 +109,13 @@ def _state(
     # it seems.
     is_more_than_noise = left_by_file > max(most_of_noise, many_floors)
     return "unexplained" if is_more_than_noise else "too_short"
+
+
+def is_drowned(investigation: Investigation, joint: int) -> bool:
+    """Return whether noise is as large as a joint's torque: it hides all else."""
+    return bool(
+        investigation.floor.rms[joint] >= rms(investigation.ground.torque[joint])
+    )
 
 
 def predicted_worse(investigation: Investigation, joint: int) -> bool:
@@ -147,7 +174,7 @@ def verdict_of(
         return "values_changed"
     if "too_short" in states:
         return "too_short"
-    if set(states) == {"unseen"}:
+    if "unseen" in states:
         return "nothing_seen"
     return "nothing_missing"
 

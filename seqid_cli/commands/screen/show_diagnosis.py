@@ -127,8 +127,8 @@ def nothing_found_at(file: diagnosis.DiagnosisFile, joint: str) -> str:
     for change in file.changed:
         if change.joint == joint:
             return diagnosis.values_at(change)
-    if file.joints[joint].samples == 0:
-        return f"{joint}: no sample could be looked at."
+    if joint in diagnosis.unseen_joints(file):
+        return f"{joint}: nothing could be seen."
     return f"{joint}: nothing was found."
 
 

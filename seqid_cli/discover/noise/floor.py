@@ -79,7 +79,9 @@ class NoiseFloor:
 
     def with_detail(self, detail: Array) -> "NoiseFloor":
         """Return the floor of a model that may leave a detail, RMS (n,) N m, too."""
-        return replace(self, high=np.hypot(self.high, detail))
+        return replace(
+            self, rms=np.hypot(self.rms, detail), high=np.hypot(self.high, detail)
+        )
 
     def interval(self, joint: int) -> tuple[float, float]:
         """Return the 95 % interval of one joint's floor, N m."""

@@ -7,6 +7,10 @@ state of all joints). What the model does not know of friction, gears or load re
 there and so is no event; a push does not. A state that is seen once tells nothing. A
 push on link k moves the joints up to k, so their evidence is taken together.
 
+A push of seconds fills so much of a log that its own windows would tell what is usual.
+Stretches in which far more is left than elsewhere (`survey.stretches`) are no measure
+of others, and none of their windows is compared with the same stretch.
+
     z_w = min_c |m_w - med_c| / max_c s_c
 
 m_w is the mean of the residual over the window, med_c and s_c median and robust size of
@@ -25,6 +29,12 @@ from scipy.spatial import cKDTree
 
 from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.discover.survey.stretches import (
+    Stretch,
+    long_stretches,
+    sharpened,
+    usual_squares,
+)
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN
@@ -55,6 +65,11 @@ class Track:
     t: Array
     values: Array
     cutoff_hz: float
+
+    @property
+    def residual(self) -> Array:
+        """The residual (M, n)."""
+        return np.asarray(self.values[-1])
 
     def __getitem__(self, samples: slice) -> "Track":
         """Return some of the samples."""
@@ -135,6 +150,8 @@ class Windows:
         Mean speed of each joint [rad/s; m/s].
     reverses : (W, 2 n) mask
         Whether each joint's velocity and each joint's load change sign.
+    stretch : (W,) index array
+        Number of the stretch that reaches into it, -1 for none.
     """
 
     length_s: float
@@ -144,12 +161,26 @@ class Windows:
     state: Array
     speed: Array
     reverses: Mask
+    stretch: Index
 
 
-def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
+def windows_of(
+    tracks: Sequence[Track],
+    length_s: float,
+    stretches: Sequence[Sequence[Stretch]] = (),
+) -> Windows:
     """Cut logs into overlapping windows of one length.
 
     Windows in which no joint counts are left out.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        By log.
+    length_s : float
+        Length of a window [s].
+    stretches : sequence of sequence of Stretch
+        By log, where far more is left than elsewhere; empty for nowhere.
     """
     top_speed = np.max(
         [np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0
@@ -164,15 +195,32 @@ def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
     counts = np.isfinite(mean).any(axis=1)
     state = np.concatenate([part.state for part in parts])[counts]
     spread = np.std(state, axis=0) if len(state) else np.ones(state.shape[1])
+    scene = np.concatenate([part.scene for part in parts])[counts]
+    centre = np.concatenate([part.centre for part in parts])[counts]
     return Windows(
         length_s=length_s,
-        scene=np.concatenate([part.scene for part in parts])[counts],
-        centre=np.concatenate([part.centre for part in parts])[counts],
+        scene=scene,
+        centre=centre,
         mean=mean[counts],
         state=state / np.where(spread > 0, spread, 1.0),
         speed=np.concatenate([part.speed for part in parts])[counts],
         reverses=np.concatenate([part.reverses for part in parts])[counts],
+        stretch=_stretch_at(scene, centre, 0.5 * length_s, stretches),
     )
+
+
+def _stretch_at(
+    scene: Index, centre: Array, half: float, stretches: Sequence[Sequence[Stretch]]
+) -> Index:
+    """Return the number of the stretch (W,) that reaches into windows, -1 for none."""
+    number = np.full(len(scene), -1)
+    count = 0
+    for log, of_log in enumerate(stretches):
+        for stretch in of_log:
+            overlaps = (centre + half > stretch.start) & (centre - half < stretch.end)
+            number[overlaps & (scene == log)] = count
+            count += 1
+    return number
 
 
 def _windows_of_track(
@@ -202,6 +250,7 @@ def _windows_of_track(
         state=_means(state, low, high, fewest=1.0),
         speed=_means(np.abs(v), low, high, fewest=1.0),
         reverses=_means(turns, wide_low, wide_high, fewest=1.0) > 0,
+        stretch=np.full(len(start), -1),
     )
 
 
@@ -227,7 +276,9 @@ def _means(values: Array, low: Index, high: Index, *, fewest: float) -> Array:
 
 # ---- events
 
-LENGTHS_S = (0.15, 0.3, 0.6)
+LENGTHS_S = (0.15, 0.3, 0.6, 1.2, 2.4)
+PARTS_S = 0.5  # between parts of one event, at most
+FILLED = 0.5  # share of a stretch that must stand out of windows of like state
 # robust sigmas within its class from which a window is compared with like ones
 LOOKED_AT = 3.0
 MOST_REFERENCES = 3000
@@ -302,7 +353,7 @@ class Interval:
 def find_events(
     rows: Rows, left_out: Sequence[Array], settings: EventSettings = EventSettings()
 ) -> list[Interval]:
-    """Find what stands out, unless it fills much of a log.
+    """Find what stands out, unless it does so often.
 
     Parameters
     ----------
@@ -319,29 +370,140 @@ def find_events(
         By data set, then by time.
     """
     tracks = tracks_of(rows, left_out)
-    windows_by_length = [windows_of(tracks, length_s) for length_s in LENGTHS_S]
-    scored = [(windows, scores(windows)) for windows in windows_by_length]
-
     events: list[Interval] = []
-    for number in range(len(rows.scenes)):
-        in_log = places(number, scored, settings)
-        log_s = max(
-            windows.length_s * np.count_nonzero(windows.scene == number) / OVERLAP
-            for windows in windows_by_length
-        )
-        filled_s = sum(end - start for start, end in _occasions(in_log))
-        # One event may fill a short log.
-        if filled_s <= max(settings.max_time * log_s, settings.longest):
+    for track, in_log in zip(tracks, standing_out(tracks, settings), strict=True):
+        # Parts of one event are one occasion. A law that errs does so often.
+        if len(_occasions(in_log)) <= settings.most_in(float(track.t[-1])):
             events += in_log
     return events
 
 
+def standing_out(
+    tracks: Sequence[Track], settings: EventSettings
+) -> list[list[Interval]]:
+    """Find where each of some logs stands out, however often it does.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        By log; each has samples that count.
+    settings : EventSettings
+        What stands out.
+
+    Returns
+    -------
+    list of list of Interval
+        By log, by time.
+    """
+    usual = _usual_squares(tracks)
+    stretches = _long_stretches(tracks, usual, settings)
+    scored = []
+    for length_s in LENGTHS_S:
+        windows = windows_of(tracks, length_s, stretches)
+        if len(windows.centre):
+            scored.append((windows, scores(windows)))
+
+    events_by_log = []
+    for number, track in enumerate(tracks):
+        in_log = places(number, scored, settings)
+        for stretch in stretches[number]:
+            whole = sharpened(stretch, track.residual, track.t, usual)
+            in_log = _with_stretch(in_log, whole, number, scored)
+        events_by_log.append(in_log)
+    return events_by_log
+
+
+def stretches_of(
+    rows: Rows, residual: Sequence[Array], settings: EventSettings = EventSettings()
+) -> list[list[Stretch]]:
+    """Find stretches that may be long pushes in what the file leaves.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets.
+    residual : sequence of (M_j,) arrays
+        What the file leaves of each joint's torque [N m; N where prismatic].
+    settings : EventSettings
+        What counts as an event.
+
+    Returns
+    -------
+    list of list of Stretch
+        By data set.
+    """
+    tracks = tracks_of(rows, residual)
+    return _long_stretches(tracks, _usual_squares(tracks), settings)
+
+
+def _usual_squares(tracks: Sequence[Track]) -> Array:
+    """Return the usual mean squares (n,) of the residual."""
+    return usual_squares(
+        [track.residual for track in tracks], [track.t for track in tracks]
+    )
+
+
+def _long_stretches(
+    tracks: Sequence[Track], usual: Array, settings: EventSettings
+) -> list[list[Stretch]]:
+    """Return by log the stretches in which far more is left than is usual (n,)."""
+    return [
+        long_stretches(track.residual, track.t, usual, settings) for track in tracks
+    ]
+
+
+def _with_stretch(
+    events: Sequence[Interval],
+    stretch: Stretch,
+    number: int,
+    scored: Sequence[tuple[Windows, Array]],
+) -> list[Interval]:
+    """Put one event in the place of those within a stretch that they fill.
+
+    Parameters
+    ----------
+    events : sequence of Interval
+        Of one data set.
+    stretch : Stretch
+        Where far more is left than elsewhere.
+    number : int
+        Of the data set.
+    scored : sequence of (Windows, (W, n) array)
+        Windows of every length over all data sets, with their `scores`.
+    """
+    inside = [
+        event
+        for event in events
+        if event.start < stretch.end and event.end > stretch.start
+    ]
+    is_filled = False
+    for windows, z in scored:
+        middle = windows.centre
+        in_stretch = (middle > stretch.start) & (middle < stretch.end)
+        in_stretch &= windows.scene == number
+        if in_stretch.any():
+            stands_out = combined(z[in_stretch]) > LOOKED_AT
+            is_filled |= bool(np.mean(stands_out) >= FILLED)
+    if not inside or not is_filled:
+        return list(events)
+
+    whole = Interval(
+        scene=number,
+        start=stretch.start,
+        end=stretch.end,
+        joints=tuple(sorted({joint for event in inside for joint in event.joints})),
+        score=max(event.score for event in inside),
+    )
+    others = [event for event in events if event not in inside]
+    return sorted([*others, whole], key=lambda event: event.start)
+
+
 def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
-    """Return start and end of what stands out, events nearer than `BLOCK_S` joined."""
+    """Return start and end of what stands out, events nearer than `PARTS_S` joined."""
     occasions: list[tuple[float, float]] = []
     for event in events:
         start, end = event.start, event.end
-        if occasions and event.start - occasions[-1][1] <= BLOCK_S:
+        if occasions and event.start - occasions[-1][1] <= PARTS_S:
             start, end = occasions.pop()
         occasions.append((start, max(end, event.end)))
     return occasions
@@ -448,6 +610,8 @@ def _neighbours(
 
     # Those too near in time may all be among the nearest: so many more are asked for.
     n_overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
+    in_stretches = windows.stretch[reference][windows.stretch[reference] >= 0]
+    n_overlapping += int(np.max(np.bincount(in_stretches), initial=0))
     n_asked = min(NEIGHBOURS + n_overlapping, len(reference))
     ranks = [*range(1, n_asked + 1)]
     tree = cKDTree(state[reference])
@@ -457,6 +621,8 @@ def _neighbours(
     same_log = windows.scene[index] == windows.scene[suspects, None]
     apart_s = np.abs(windows.centre[index] - windows.centre[suspects, None])
     too_near = (apart_s < BLOCK_S) & same_log
+    own_stretch = windows.stretch[suspects, None]
+    too_near |= (windows.stretch[index] == own_stretch) & (own_stretch >= 0)
     order = np.argsort(too_near, axis=1, kind="stable")[:, :NEIGHBOURS]
     neighbours: Index = np.take_along_axis(np.where(too_near, -1, index), order, axis=1)
 
@@ -483,7 +649,7 @@ def _class_size(windows: Windows, joint: int) -> Array:
     window's classes counts.
     """
     mean = windows.mean[:, joint]
-    is_known = np.isfinite(mean)
+    is_known = np.isfinite(mean) & (windows.stretch < 0)
     if np.count_nonzero(is_known) < FEWEST:
         return np.full(len(mean), np.inf)
 

@@ -344,7 +344,11 @@ def _without_shaken_joints(
 def _without_unpredictable_joints(
     used: Sequence[Mask], block: Sequence[Index], fold: Index
 ) -> tuple[Mask, ...]:
-    """Leave out joints that move in so few folds that others do not predict them."""
+    """Leave out joints that move in so few folds that others do not predict them.
+
+    Of logs that are so short that they have no more folds no joint is left: nothing can
+    be left out of a fit to them and predicted.
+    """
     n_folds = int(fold.max()) + 1
     rows_in_fold = np.zeros((n_folds, used[0].shape[1]))
     for counts, block_of_sample in zip(used, block, strict=True):
@@ -352,9 +356,7 @@ def _without_unpredictable_joints(
 
     share = rows_in_fold / np.maximum(rows_in_fold.sum(axis=0), 1)
     n_filled_folds = (share > LEAST_OF_FOLD).sum(axis=0)
-    enough = n_filled_folds >= min(FEWEST_FOLDS, n_folds)
-    # Where no joint has enough, all stay: logs that are so short are said to be.
-    enough |= not enough.any()
+    enough = n_filled_folds >= FEWEST_FOLDS
     return tuple(counts & enough for counts in used)
 
 

@@ -140,7 +140,8 @@ class ResidualEntry(Struct, kw_only=True):
     found. `noise_floor` is the residual by torque noise and encoder alone, estimated by
     itself, and `noise_floor_interval` its 95 % interval. Numbers are null where no
     sample counts, or where these logs do not determine them. `white` says that nothing
-    but noise is left. `tried` is what was not taken beside the findings.
+    but noise is left. `verdict` is that of the document for this joint alone, null in
+    files of before it was known. `tried` is what was not taken beside the findings.
     """
 
     rmse: float | None
@@ -149,16 +150,34 @@ class ResidualEntry(Struct, kw_only=True):
     white: bool
     rmse_explained: float | None
     samples: int
+    verdict: DiagnosisVerdict | None = None
     tried: list[RivalEntry] = []
 
 
+class ContactPoint(Struct, kw_only=True):
+    """Where a push acted: a point (m) in the frame of the link after a joint.
+
+    Coordinates that the torques do not determine are null. `force` is its largest size,
+    N. The link that was pushed may be one further out whose own joint did not move.
+    """
+
+    after_joint: str
+    point: list[float | None]
+    std_error: list[float | None]
+    force: float
+
+
 class EventEntry(Struct, kw_only=True):
-    """An interval of a log (s since its start) in which something pushed the arm."""
+    """An interval of a log (s since its start) in which something pushed the arm.
+
+    `joints` felt it. `contact` is null where their torques do not determine a point.
+    """
 
     log: str
     start: float
     end: float
     joints: list[str]
+    contact: ContactPoint | None = None
 
 
 class HiddenEntry(Struct, kw_only=True):
@@ -203,7 +222,7 @@ class DiagnosisFile(OfRobot, kw_only=True):
 def nothing_found(file: DiagnosisFile) -> str:
     """Return the sentence of a diagnosis without findings."""
     if file.verdict == "nothing_seen":
-        return "Nothing was seen: no sample of these logs could be looked at."
+        return _nothing_seen(file)
     excess = {}
     for name, joint in file.joints.items():
         text = beyond_noise(joint)
@@ -221,6 +240,27 @@ def nothing_found(file: DiagnosisFile) -> str:
             f" but it is {_NOT_WHITE} ({', '.join(excess)})."
         )
     return f"No effect was found, but not all that is left is noise ({by_joint})."
+
+
+def _nothing_seen(file: DiagnosisFile) -> str:
+    """Return the sentence of a diagnosis that could not look at some joints, or any."""
+    unseen = unseen_joints(file)
+    if len(unseen) == len(file.joints):
+        return "Nothing was seen: these logs tell nothing of any joint."
+    others = [name for name in file.joints if name not in unseen]
+    return (
+        f"Nothing was seen of {', '.join(unseen)}. Of {', '.join(others)} nothing is"
+        " missing: what these logs leave of the torque there is noise."
+    )
+
+
+def unseen_joints(file: DiagnosisFile) -> list[str]:
+    """Return the joints of which nothing can be said."""
+    return [
+        name
+        for name, joint in file.joints.items()
+        if joint.verdict == "nothing_seen" or joint.samples == 0
+    ]
 
 
 def values_sentence(file: DiagnosisFile) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
 from seqid_cli.params.results.diagnosis import (
     ChangedValues,
+    ContactPoint,
     EventEntry,
     HiddenEntry,
     ResidualEntry,
@@ -377,7 +378,13 @@ def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
 def events(pushes: Sequence[EventEntry]) -> Values:
     """Return times in which something pushed the arm."""
     rows = [
-        (push.log, f"{push.start:.2f}", f"{push.end:.2f}", ", ".join(push.joints))
+        (
+            push.log,
+            f"{push.start:.2f}",
+            f"{push.end:.2f}",
+            ", ".join(push.joints),
+            _contact_in_words(push.contact),
+        )
         for push in pushes
     ]
     columns = [
@@ -385,8 +392,20 @@ def events(pushes: Sequence[EventEntry]) -> Values:
         Head("from", "count", "s"),
         Head("to", "count", "s"),
         Head("joints", "text"),
+        Head("where", "text"),
     ]
     return Values(columns, rows)
+
+
+def _contact_in_words(contact: ContactPoint | None) -> str:
+    """Return where a push acted, in words; empty where it is not known."""
+    if contact is None:
+        return ""
+    place = ", ".join(
+        "?" if value is None else f"{value:.2f}" for value in contact.point
+    )
+    size = f"{contact.force:.3g} N"
+    return f"{size} at ({place}) m on the link after {contact.after_joint}"
 
 
 def hidden(effects: Sequence[HiddenEntry]) -> Values:

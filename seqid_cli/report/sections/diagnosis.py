@@ -45,7 +45,7 @@ _VERDICTS = {
     "unexplained": ("open", "a part fits no known effect"),
     "values_changed": ("open", "the file's values do not hold"),
     "too_short": ("open", "the logs are too short to tell"),
-    "nothing_seen": ("poor", "no sample could be looked at"),
+    "nothing_seen": ("poor", "of some joint nothing could be seen"),
 }
 
 

@@ -21,6 +21,7 @@ from seqid_cli.discover.notes import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import SelectionProblem
+from seqid_cli.discover.select.naming import NameConfidence
 from seqid_cli.discover.select.rows import ALIKE
 from seqid_cli.discover.settings import DiscoverSettings, EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
@@ -184,6 +185,58 @@ def test_a_push_is_an_event_and_shown_over_time_and_nothing_comes_off() -> None:
     assert (shown.after, shown.after_spread) == ([], [])
     assert abs(shown.x[int(np.argmax(shown.before))] - at) < 0.1
     assert max(shown.before) > 10.0 * abs(shown.before[0])
+
+
+@cache
+def held_push() -> Given:
+    """Logs in one of which somebody leans on the arm for four seconds."""
+    log, *others = given().logs
+    inside = (log.t - log.t[0] > 3.5) & (log.t - log.t[0] < 7.5)
+    push = np.outer(inside * (1.0 + 0.3 * np.sin(log.t)), [3.0, 1.2])
+    return replace(given(), logs=(replace(log, tau=log.tau + push), *others))
+
+
+def test_a_push_of_seconds_is_told_with_its_edges() -> None:
+    found = held_push().diagnosed()
+    (event,) = found.events
+    assert event.joints == ["shoulder", "elbow"]
+    assert event.start == pytest.approx(3.5, abs=0.3)
+    assert event.end == pytest.approx(7.5, abs=0.3)
+    contact, _ = only(found)
+    assert contact.effect == "external_contact"
+    assert contact.confidence > 0.9
+    assert found.unexplained == []
+
+
+def test_samples_of_events_that_are_not_told_go_back_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = held_push()
+    unsure = [0.5]
+    monkeypatch.setattr(
+        "seqid_cli.discover.investigate.event_confidences",
+        lambda found: unsure * len(found.events),
+    )
+    found = investigate(case.logs, case.robot, case.stages, OPTIONS)
+    assert found.events == ()
+    rows = found.ground.stage.rows
+    assert [rows.count(joint) for joint in range(2)] == found.file_residual.samples
+    said = described(found, case.robot)
+    assert said.verdict != "nothing_missing"
+    assert said.findings == [] or said.unexplained
+
+
+def test_what_has_no_sure_name_is_unexplained_and_its_name_is_the_closest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unsure = NameConfidence(confidence=0.69, by_itself=0.4)
+    monkeypatch.setattr("seqid_cli.discover.diagnosis.named", lambda *_: unsure)
+    said = described(investigated(HUMP), given(HUMP).robot)
+    assert (said.verdict, said.findings) == ("unexplained", [])
+    (part,) = said.unexplained
+    assert (part.joint, part.closest.effect) == ("elbow", "stribeck")
+    assert "velocity" in part.depends_on
+    assert said.joints["elbow"].verdict == "unexplained"
 
 
 def test_losses_are_shown_over_the_load_and_rivals_say_why_they_were_not_taken() -> (

@@ -34,6 +34,7 @@ class Left:
     by_file: float
     fitted: float
     samples: int = BLOCKS * EACH
+    torque: float = 50.0  # RMS, of the file's model
     explained_joints: set[int] = field(default_factory=set)
     floor: NoiseFloor = field(
         default_factory=lambda: NoiseFloor(*(np.array([x]) for x in (FLOOR, 0.9, HIGH)))
@@ -58,7 +59,10 @@ class Left:
             block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS
         )
         base = SimpleNamespace(y=[np.full(BLOCKS * EACH, self.by_file)])
-        return SimpleNamespace(n=1, rows=rows, base=base, options=Options())
+        torque = (np.full(BLOCKS * EACH, self.torque),)
+        return SimpleNamespace(
+            n=1, rows=rows, base=base, torque=torque, options=Options()
+        )
 
 
 @pytest.mark.parametrize(
@@ -71,6 +75,7 @@ class Left:
         (Left(2.0, 2.0), "too_short"),  # noise may be larger than it seems
         (Left(35.0, 80.0), "too_short"),  # a part of the logs does not tell the rest
         (Left(1.2, 1.2, samples=0), "nothing_seen"),
+        (Left(1.2, 1.2, torque=0.9), "nothing_seen"),  # noise is as large as the torque
         (replace(Left(1.2, 1.2), floor=NoiseFloor(*np.zeros((3, 1)))), "too_short"),
     ],
 )
@@ -83,6 +88,26 @@ def test_what_a_fitted_model_leaves_as_well_is_unexplained() -> None:
     (state,) = joint_states(Left(35.0, 30.0), np.array([FLOOR]), np.array([HIGH]))
     part = UnexplainedPart(joint="elbow", depends_on=[], share=0.9)
     assert (state, verdict_of([], [part], [state])) == ("unexplained", "unexplained")
+
+
+def test_a_joint_of_which_nothing_was_seen_does_not_pass_for_fine() -> None:
+    assert verdict_of([], [], ["noise", "noise"]) == "nothing_missing"
+    assert verdict_of([], [], ["noise", "unseen"]) == "nothing_seen"
+    assert verdict_of([], [], ["changed", "unseen"]) == "values_changed"
+
+
+def test_a_joint_whose_effect_has_no_sure_name_is_unexplained() -> None:
+    """The model has the effect and leaves noise: that does not make the file right."""
+    left = Left(35.0, 1.1)
+    for nameless, expected in (((), "changed"), ((0,), "unexplained")):
+        (state,) = joint_states(
+            left, np.array([FLOOR]), np.array([HIGH]), nameless=nameless
+        )
+        assert state == expected
+    quiet = joint_states(
+        Left(1.2, 1.2), np.array([FLOOR]), np.array([HIGH]), nameless=(0,)
+    )
+    assert quiet == ["noise"]
 
 
 def worn_since(first: int) -> list[Scene]:

@@ -81,27 +81,26 @@ def stands_out(settings: EventSettings, sigma: float) -> bool:
 
 def lasts_too_long(settings: EventSettings, seconds: float) -> bool:
     """A stretch of this length that stands out, most in its middle."""
-    centre = 0.05 * np.arange(400.0)
-    z = np.full((400, 1), 1.0)
-    z[np.abs(centre - 10.0) <= seconds / 2.0] = 20.0
-    z[200] = 21.0
+    centre = 0.05 * np.arange(1600.0)
+    z = np.full((1600, 1), 1.0)
+    z[np.abs(centre - 40.0) <= seconds / 2.0] = 20.0
+    z[800] = 21.0
     return not events._peaks(0, 0.2, z, centre, settings)
 
 
-def fills_a_log(settings: EventSettings, share: float) -> bool:
-    """One stretch that fills a share of a log of 100 s."""
-    windows = SimpleNamespace(length_s=1.0, scene=np.zeros(100 * events.OVERLAP))
-    stretch = Interval(
-        scene=0, start=10.0, end=10.0 + 100.0 * share, joints=(0,), score=9.0
-    )
-    rows: Any = SimpleNamespace(scenes=[None])
+def too_many(settings: EventSettings, count: float) -> bool:
+    """So many events in a log of 20 s."""
+    in_log = [
+        Interval(scene=0, start=4.0 * k, end=4.0 * k + 0.5, joints=(0,), score=9.0)
+        for k in range(round(count))
+    ]
+    track = SimpleNamespace(t=np.array([0.0, 20.0]))
     with patch.multiple(
         events,
-        tracks_of=lambda *_: None,
-        windows_of=lambda *_: windows,
-        scores=lambda *_: None,
-        places=lambda *_: [stretch],
+        tracks_of=lambda *_: [track],
+        standing_out=lambda *_: [in_log],
     ):
+        rows: Any = None
         return not events.find_events(rows, [], settings)
 
 
@@ -113,8 +112,8 @@ WITNESSES = witnesses(
         ("evidence.negligible_share", 0.032, 0.048, negligible),
         ("evidence.min_visible", 0.16, 0.24, invisible),
         ("events.min_sigma", 6.2, 4.2, stands_out),
-        ("events.longest", 2.4, 1.6, lasts_too_long),
-        ("events.max_time", 0.06, 0.04, fills_a_log),
+        ("events.longest", 24.0, 16.0, lasts_too_long),
+        ("events.most", 4, 3, too_many),
     ],
 )
 

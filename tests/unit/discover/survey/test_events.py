@@ -93,6 +93,27 @@ def test_a_push_is_found_where_it_was(
     assert np.median(overlaps) > 0.6
 
 
+@pytest.mark.parametrize(
+    ("length", "height", "joints"),
+    [(1.5, 8.0, [0, 1]), (3.0, 12.0, [1]), (5.0, 12.0, [0, 1]), (8.0, 20.0, [0])],
+)
+def test_a_push_of_seconds_is_one_event_with_its_edges(
+    many_rows: list[Rows], length: float, height: float, joints: list[int]
+) -> None:
+    """It fills more of a log than robust sizes bear."""
+    rng = np.random.default_rng(8)
+    for k in range(4):
+        start, number = float(rng.uniform(2.0, 5.0)), int(rng.integers(3))
+        events = found(
+            many_rows[k], 700 + k, push(number, start, length, height, joints)
+        )
+        (event,) = events
+        assert event.scene == number
+        assert set(event.joints) <= set(joints)
+        assert abs(event.start - start) < 0.3
+        assert abs(event.end - start - length) < 0.3
+
+
 def impacts(scene: Scene) -> Array:
     load = np.sign(scene.load[:, 1])
     x = np.zeros(scene.samples)

@@ -47,12 +47,12 @@ def test_a_single_move_of_a_joint_does_not_count() -> None:
         [used.any(axis=0).tolist() for used in rows_of(scenes).used]
         for scenes in (
             [scene_of(q)],
-            [scene_of(q[:, [1, 1]])],  # there is nothing else to look at
+            [scene_of(q[:, [1, 1]])],  # nothing of it can be left out and predicted
             [scene_of(wander(30.0, seed=1)), scene_of(q, log=1)],
         )
     )
     assert alone == [[True, False]]
-    assert only == [[True, True]]
+    assert only == [[False, False]]
     assert both == [[True, True], [True, False]]
 
 

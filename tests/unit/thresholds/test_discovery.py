@@ -38,6 +38,7 @@ def unsure_effect(settings: EvidenceSettings, probability: float) -> bool:
         _search=SimpleNamespace(visible={}),
         _results_by_simplest=all_taken,
         _with_value_changes=lambda told, least: told,
+        _name_at_joints=lambda: None,
     )
     Selection.told(found)
     return probability < asked[0]

@@ -133,7 +133,8 @@ def test_a_log_without_the_joint_is_read_as_before(tmp_path: Path) -> None:
     log = write_parquet(
         tmp_path / "log.parquet", T, ("pan", "turn", "elbow"), q, torque=q
     )
-    assert prepare(log, robot_file(tmp_path, "pan", "turn", "elbow")).robot_remarks == ()
+    inputs = prepare(log, robot_file(tmp_path, "pan", "turn", "elbow"))
+    assert inputs.robot_remarks == ()
 
 
 def test_zeros_of_a_second_publisher_are_no_motion(tmp_path: Path) -> None:

@@ -183,10 +183,17 @@ def full_residual(scene: Scene, residual: Array) -> Array:
 
 
 def _above(full: Scene) -> Array:
-    """Return the measured torque (N, n) above the cut-off less the model's."""
-    assert full.measured is not None
-    residual = full.measured - full.modelled
-    return np.asarray(residual - full.motion.filtered(residual, times=2))
+    """Return the measured torque (N, n) above the cut-off less the model's.
+
+    It is kept with the scene: every search asks for it.
+    """
+    key = ("torque above the cut-off", 0)
+    if key not in full.memo:
+        assert full.measured is not None
+        residual = full.measured - full.modelled
+        above = np.asarray(residual - full.motion.filtered(residual, times=2))
+        full.memo[key] = (above,)
+    return full.memo[key][0]
 
 
 def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:

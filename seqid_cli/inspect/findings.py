@@ -138,6 +138,9 @@ WARNINGS: Mapping[str, str] = {
         "Check that it is mounted where the robot file says, and its clock."
     ),
     "imu_delay": "imu-calib measures up to 0.5 s; beyond, synchronise the clocks.",
+    "imu_clock_drift": (
+        "imu-calib and --motion fused allow for it; better, stamp both with one clock."
+    ),
     "gyro_scale": "Check its range setting.",
     "gyro_bias": "Calibrate its offset at rest.",
     "temperature_in_kelvin": "Subtract 273.15.",

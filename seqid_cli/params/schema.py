@@ -334,22 +334,34 @@ class JointDeflection(Struct, kw_only=True):
     significance: float  # standard deviations beyond what the readings' jolts explain
 
 
+class ImuClock(Struct, kw_only=True):
+    """The clock of an IMU against the encoders' in one log."""
+
+    log: str
+    # the IMU's stamp minus the encoder's of the same instant, as the log begins
+    time_offset_s: float
+    time_offset_std_error_s: float
+    time_rate: float  # s/s, by which the IMU's clock gains on the encoders'
+    time_rate_std_error: float
+
+
 class ImuCalibration(Struct, kw_only=True):
     """Calibration of an IMU (Eq. 29-38).
 
     `rotation` turns IMU coordinates into those of the link that carries it.
 
     Accelerometer k at r_k of the robot file, on a link with the specific force f at its
-    origin, angular velocity w and acceleration dw, all in the link's frame, reads at
-    the stamp t
+    origin, angular velocity w and acceleration dw, all in the link's frame, reads
 
-        y_k(t) = scale_k axis_k' R' [f + dw x p + w x (w x p)](t - time_offset_s) +
-        bias_k,
+        y_k = scale_k axis_k' R' [f + dw x p + w x (w x p)] + bias_k,
 
     R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w +
-    gyro_bias_k, with w at t - time_offset_s - gyro_delay_s. An empty list was not
-    calibrated; an entry that the logs do not determine is null, and `not_determined`
-    says so in words. Axes are units in the IMU's frame.
+    gyro_bias_k. What was felt t seconds of the encoders' clock after the log began has
+    the stamp t + time_offset_s + time_rate t, a gyro's gyro_delay_s more. `clocks` has
+    both of every log. `time_offset_s` and `time_rate` are those that one more log is
+    expected to have, with the scatter from log to log in their errors. An empty list
+    was not calibrated; an entry that the logs do not determine is null, and
+    `not_determined` says so in words. Axes are units in the IMU's frame.
     """
 
     rotation: Matrix
@@ -361,10 +373,13 @@ class ImuCalibration(Struct, kw_only=True):
     not_determined: list[str] = []
     axis_rmse_deg: float | None = None
     noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
-    # the IMU's stamp minus the encoder's of the same instant
+    # the IMU's stamp minus the encoder's of the same instant, as a log begins
     time_offset_s: float = 0.0
     # null: not determined, the offset is taken as 0
     time_offset_std_error_s: float | None = None
+    time_rate: float = 0.0  # s/s, by which the IMU's clock gains on the encoders'
+    time_rate_std_error: float | None = None  # null: not determined
+    clocks: list[ImuClock] = []  # of every log
     # the gyro's stamp minus the accelerometers' of the same instant
     gyro_delay_s: float = 0.0
     gyro_delay_std_error_s: float | None = None  # null without a gyro

@@ -32,7 +32,8 @@ class Fault:
     drift: float = 0.0  # m/s^2, of the bias over the log
     gain: float = 0.0
     tilt_deg: float = 0.0
-    delay_s: float = 0.0  # by which stamps are late
+    delay_s: float = 0.0  # by which stamps are late as the log begins
+    rate: float = 0.0  # s/s, by which they get later
     lost: bool = False  # the last IMU stops midway
     limit: float = np.inf  # m/s^2, where accelerometers saturate
 
@@ -91,13 +92,11 @@ def simulated(rig: Rig) -> Log:
     return simulate(plant, trials[0].reference, 0, imus=False)
 
 
-def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
+def _late(log: Log, fault: Fault, plant: Plant, link: int) -> LinkMotion:
     """A link's true motion when readings were taken that are stamped t."""
+    felt = (log.t - fault.delay_s) / (1.0 + fault.rate)
     parts = (log.truth.q, log.truth.dq, log.truth.ddq)
-    late = (
-        np.transpose([np.interp(log.t - delay, log.t, x) for x in own.T])
-        for own in parts
-    )
+    late = (np.transpose([np.interp(felt, log.t, x) for x in own.T]) for own in parts)
     return link_motion(plant.arm, link, *late)
 
 
@@ -131,7 +130,7 @@ def case(rig: Rig) -> Case:
     )
     accelerometers, gyros, imus = {}, {}, []
     for imu, array in zip(robot.imus, plant.imus, strict=True):
-        motion = _late(log, rig.fault.delay_s, plant, array.after)
+        motion = _late(log, rig.fault, plant, array.after)
         kept = (
             replace(array, positions=np.zeros((3, 3)), axes=np.eye(3))
             if rig.gyro

@@ -56,6 +56,8 @@ class Case:
     step: float
     gyro: bool = False
     delay: float = 0.002
+    rate: float = 0.0  # s/s, by which the IMU's clock gains on the encoders'
+    scatter: float = 0.0  # s, of the delay from log to log
     turns: int | None = None  # swings, where it is not as many as usual
     hidden: str | None = None  # effect of a drive that joint 2 has
 
@@ -113,10 +115,11 @@ def scene_of(case: Case) -> Scene:
 
 
 def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:
-    faults = replace(FAULTS, delay=case.delay)
+    faults = replace(FAULTS, delay=case.delay, rate=case.rate)
     if not case.gyro:
         return replace(imu, faults=faults)
-    own = {"gyro_noise": 0.003, "gyro_faults": replace(GYRO_FAULTS, delay=case.delay)}
+    gyro_faults = replace(GYRO_FAULTS, delay=case.delay, rate=case.rate)
+    own = {"gyro_noise": 0.003, "gyro_faults": gyro_faults}
     return replace(
         imu, positions=np.zeros((3, 3)), axes=np.eye(3), faults=faults, **own
     )
@@ -132,6 +135,21 @@ def instruments(scene: Scene, seed: int) -> list[AccelerometerArray]:
     return found
 
 
+def offsets(scene: Scene, seed: int) -> Array:
+    """How late the IMUs' stamps are as each log begins, s."""
+    rng = np.random.default_rng([seed, 7])
+    scatter = scene.case.scatter * rng.standard_normal(len(scene.logs))
+    return np.asarray(scene.case.delay + scatter)
+
+
+def _later(imu: AccelerometerArray, late: float) -> AccelerometerArray:
+    if imu.faults is None or late == 0.0:
+        return imu
+    faults = replace(imu.faults, delay=imu.faults.delay + late)
+    gyro = replace(imu.gyro_faults, delay=imu.gyro_faults.delay + late)
+    return replace(imu, faults=faults, gyro_faults=gyro)
+
+
 def recordings(scene: Scene, seed: int) -> list[Recording]:
     """What one seed's encoders and IMUs make of the motion."""
     found = []
@@ -140,7 +158,9 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
         rng, truth = np.random.default_rng([seed, number + 1]), log.truth
         rate = 1.0 / float(log.t[1] - log.t[0])
         accelerometers, gyros = dict[str, Array](), dict[str, Array]()
+        late = offsets(scene, seed)[number] - scene.case.delay
         for imu in instruments(scene, seed):
+            imu = _later(imu, late)
             motion = link_motion(
                 scene.plant.arm, imu.after, truth.q, truth.dq, truth.ddq
             )

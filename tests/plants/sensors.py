@@ -26,6 +26,7 @@ class Faults:
     scale: float = 0.0  # of the gain
     tilt: float = 0.0  # rad, of each axis about each direction across it
     delay: float = 0.0  # s, by which the IMU's stamps are late against the encoders'
+    rate: float = 0.0  # s/s, by which they get later
     spikes: float = 0.0  # share of samples that are wild
     limit: float = np.inf  # where the channels saturate
 
@@ -59,7 +60,8 @@ class Faults:
         n, count = ideal.shape
         steps = self.drift / np.sqrt(rate_hz) * rng.standard_normal((n, count))
         offset = self.biases(count) + self.turn_on * rng.standard_normal(count)
-        values = self.gains(count) * delayed(ideal, self.delay, rate_hz) + offset
+        late = delayed(ideal, self.delay, rate_hz, self.rate)
+        values = self.gains(count) * late + offset
         values = (
             values + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
         )
@@ -68,14 +70,16 @@ class Faults:
         return quantise(np.clip(values + wild * size, -self.limit, self.limit), step)
 
 
-def delayed(values: Array, delay: float, rate_hz: float) -> Array:
-    """Values (N, K) as they were `delay` s before each row; the first row lasts before
-    it.
+def delayed(values: Array, delay: float, rate_hz: float, rate: float = 0.0) -> Array:
+    """Values (N, K) with the stamps of a clock that is `delay` s late and gains `rate`.
+
+    What happens at t has the stamp t + delay + rate t; the first row lasts before it.
     """
-    if delay == 0.0:
+    if delay == 0.0 and rate == 0.0:
         return values
     t = np.arange(len(values)) / rate_hz
-    return np.asarray(CubicSpline(t, values)(np.clip(t - delay, t[0], t[-1])))
+    felt = (t - delay) / (1.0 + rate)
+    return np.asarray(CubicSpline(t, values)(np.clip(felt, t[0], t[-1])))
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,14 @@
 
 Directions of joint axes give a first mounting in closed form (`axis_pairs`, Eq. 38). A
 joint least squares on the raw readings then estimates everything at once, with the
-joints' motion: mounting and lever, biases, gains and axes of the sensors, and the
-offset of their clock (`solve`). Gravity, centripetal and tangential accelerations show
-more than the axes alone. Two parallel axes a known distance apart, or a single axis
-that is not vertical, determine the angle about them. A constant that the logs do not
-determine is named and never written as a number.
+joints' motion: mounting and lever, biases, gains and axes of the sensors, and offset
+and rate of their clock in each log (`solve`). Gravity, centripetal and tangential
+accelerations show more than the axes alone. Two parallel axes a known distance apart,
+or a single axis that is not vertical, determine the angle about them. A constant that
+the logs do not determine is named and never written as a number.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -44,6 +44,7 @@ from seqid_cli.typing import Array, Mask
 class _ImuData:
     """Data of one log on one IMU; `density` is its noise [rad/s^2/sqrt(Hz)]."""
 
+    log: str
     segments: list[Segment]
     pairs: list[initial_guess.Pair]
     density: float
@@ -104,7 +105,8 @@ def calibrate_imus(
             verdicts.append(schema.Verdict(joint=imu.name, good=False, reason=reason))
             continue
         imus[imu.name], converged = _calibrated(robot, imu, imu_logs)
-        notes += [f"{imu.name}: {text}" for text in imus[imu.name].not_determined]
+        texts = [*imus[imu.name].not_determined, *clock_statements(imus[imu.name])]
+        notes += [f"{imu.name}: {text}" for text in texts]
         verdict = verdict_of(
             robot, imu, imus[imu.name], converged=converged, settings=settings.mounting
         )
@@ -145,7 +147,9 @@ def _log_data(
             pairs, density = initial_guess.axis_pairs(
                 recording, robot, recorded, motion
             )
-        imus[imu.name] = _ImuData(segments=segments, pairs=pairs, density=density)
+        imus[imu.name] = _ImuData(
+            log=str(recording.path), segments=segments, pairs=pairs, density=density
+        )
     return _LogData(imus=imus, cutoff_hz=cutoff_hz)
 
 
@@ -171,7 +175,10 @@ def _calibrated(
     others = [deviation.as_robot() for deviation in deviations(robot)]
     fit = fit_constants(segments, robot, recorded, start, others)
     density = float(np.median(densities)) if densities else None
-    calibration = calibration_of(robot, recorded, fit, segments, pairs, density)
+    names = {data.segments[0].log: data.log for data in logs if data.segments}
+    calibration = calibration_of(
+        robot, recorded, fit, segments, pairs, density, names=names
+    )
     return calibration, fit.converged
 
 
@@ -183,7 +190,9 @@ def calibration_of(
     pairs: list[initial_guess.Pair],
     density: float | None,
     *,
+    names: Mapping[int, str],
     max_delay_error_s: float = 0.005,
+    max_rate_error: float = 0.001,
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
     """Return the calibration of one IMU, as the parameter file has it.
@@ -202,8 +211,11 @@ def calibration_of(
         Directions of joint axes that the logs show.
     density : float or None
         Noise of the angular acceleration [rad/s^2/sqrt(Hz)].
-    max_delay_error_s : float
-        Standard error of the clock offset from which it is not determined [s].
+    names : mapping of int to str
+        Paths of the logs by their numbers.
+    max_delay_error_s, max_rate_error : float
+        Standard errors of the clock's offset in a log [s] and of its rate [s/s], from
+        which they are not determined.
     sampling : float
         Share of the sampling period to which a coarse encoder shows the clock.
     """
@@ -214,14 +226,24 @@ def calibration_of(
     # and jolts between two samples are noise of the fit already.
     constants = fit.constants
     sigma = np.sqrt(np.diag(fit.covariance))
+    at = constants.places
     worst, is_lever_known, missing = _of_mounting(fit.covariance)
     edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
-    delay_error = float(np.hypot(sigma[6], edges))
-    delay_known = delay_error < max_delay_error_s
+    clocks = [_clock_of(fit, log, names[log], edges_s=edges) for log in constants.logs]
+    of_logs = [(c.time_offset_std_error_s, c.time_rate_std_error) for c in clocks]
+    usual_error = np.median(np.array(of_logs), axis=0)
+    delay_known = bool(usual_error[0] < max_delay_error_s)
+    rate_known = bool(usual_error[1] < max_rate_error)
+    # The next log has an offset of its own, as unlike the mean as these logs' are.
+    from_log_to_log = np.zeros(2)
+    if len(clocks) > 1:
+        from_log_to_log = fit.prior[at.shared : at.shared + 2]
+    delay_error = float(np.linalg.norm([sigma[at.delay], from_log_to_log[0], edges]))
+    rate_error = float(np.hypot(sigma[at.rate], from_log_to_log[1]))
 
     by_tolerances = np.linalg.norm(fit.moves, axis=1)
-    turn_errors = np.hypot(sigma[:3], by_tolerances[:3])
-    lever_errors = np.hypot(sigma[3:6], by_tolerances[3:6])
+    turn_errors = np.hypot(sigma[at.turn], by_tolerances[at.turn])
+    lever_errors = np.hypot(sigma[at.lever], by_tolerances[at.lever])
     fields, open_channels = _of_sensors(imu, fit)
     # One-sided noise densities from the raw readings' white noise per sample.
     densities = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
@@ -231,6 +253,8 @@ def calibration_of(
     missing += open_channels
     if not delay_known:
         missing.append("the clock offset to the encoders is not determined")
+    elif not rate_known:
+        missing.append("the rate of its clock is not determined")
     off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
 
     return schema.ImuCalibration(
@@ -245,8 +269,11 @@ def calibration_of(
         noise_density=density,
         time_offset_s=constants.delay if delay_known else 0.0,
         time_offset_std_error_s=delay_error if delay_known else None,
+        time_rate=constants.rate if rate_known else 0.0,
+        time_rate_std_error=rate_error if rate_known else None,
+        clocks=clocks if delay_known else [],
         gyro_delay_s=constants.gyro_delay if imu.gyro else 0.0,
-        gyro_delay_std_error_s=float(sigma[-1]) if imu.gyro else None,
+        gyro_delay_std_error_s=float(sigma[at.gyro_delay]) if imu.gyro else None,
         acceleration_std_error=_acceleration_error(robot, imu, fit),
         lever=_listed(constants.lever, is_lever_known),
         lever_std_errors=_listed(lever_errors, is_lever_known),
@@ -258,6 +285,63 @@ def calibration_of(
         deflections=fit.deflections,
         **fields,
     )
+
+
+def _clock_of(fit: Fit, log: int, name: str, *, edges_s: float) -> schema.ImuClock:
+    """Return the clock of one log; `edges_s` is what a coarse encoder leaves open."""
+    constants = fit.constants
+    clock = constants.clock(log)
+    # Both are sums of what all logs share and of the log's own change.
+    of_log = constants.places_of(log)
+    covariance = fit.covariance[np.ix_(of_log, of_log)]
+    summed = np.zeros((2, len(of_log)))
+    summed[0, [constants.places.delay, -2]] = 1.0
+    summed[1, [constants.places.rate, -1]] = 1.0
+    variance = np.diag(summed @ covariance @ summed.T)
+    return schema.ImuClock(
+        log=name,
+        time_offset_s=clock.offset_s,
+        time_offset_std_error_s=float(np.hypot(np.sqrt(variance[0]), edges_s)),
+        time_rate=clock.rate,
+        time_rate_std_error=float(np.sqrt(variance[1])),
+    )
+
+
+def clock_statements(
+    calibration: schema.ImuCalibration,
+    *,
+    clear: float = 4.0,
+    min_rate: float = 2e-4,
+    min_apart_s: float = 0.002,
+) -> list[str]:
+    """Say that the clocks of IMU and encoders drift apart, or begin unlike.
+
+    Parameters
+    ----------
+    calibration : ImuCalibration
+        Calibration of an IMU.
+    clear : float
+        Standard errors from which on a rate is said.
+    min_rate : float
+        Rate that is worth a word [s/s]: twice what two quartzes differ by.
+    min_apart_s : float
+        Differences of offsets between logs that are worth a word [s].
+    """
+    statements = []
+    rate = calibration.time_rate
+    std_error = calibration.time_rate_std_error
+    if std_error is not None and abs(rate) > max(clear * std_error, min_rate):
+        statements.append(
+            f"its clock and that of the encoders drift apart by {1e3 * rate:.2g} +-"
+            f" {1e3 * std_error:.1g} ms/s"
+        )
+    offsets = [clock.time_offset_s for clock in calibration.clocks]
+    if len(offsets) > 1 and max(offsets) - min(offsets) > min_apart_s:
+        statements.append(
+            f"its clock offset as a log begins is from {1e3 * min(offsets):.3g} to"
+            f" {1e3 * max(offsets):.3g} ms, another in each log"
+        )
+    return statements
 
 
 def _of_sensors(
@@ -279,9 +363,13 @@ def _of_sensors(
     constants = fit.constants
     k = len(imu.axes)
     c = len(constants.bias)
-    bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:-1], [c, 2 * c])
-    tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
-    _, gain_prior, tilt_prior = np.split(fit.prior[7:-1], [c, 2 * c])
+    at = constants.places
+    std_errors = np.sqrt(np.diag(fit.covariance))
+    bias = std_errors[at.bias]
+    gain = std_errors[at.gain]
+    tilt = np.degrees(np.sqrt(np.mean(std_errors[at.tilt].reshape(c, 2) ** 2, axis=1)))
+    gain_prior = fit.prior[at.gain]
+    tilt_prior = fit.prior[at.tilt]
     accelerometers = np.arange(c) < k
     free = accelerometers & (k >= sensor_model.FEW)
     bias_known = bias < np.where(accelerometers, max_bias, max_rate)
@@ -346,10 +434,14 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
     k = len(imu.axes)
     c = len(constants.bias)
     a = (sensor_model.mounted(imu, constants).matrix @ x[0])[:k]
-    slope = a @ sensor_model.design(imu, constants, x, np.zeros((1, c)))[0, :k]
-    slope[7 : 7 + c] = 0.0  # a bias is no acceleration
+    at = constants.places
+    nothing = np.zeros((1, c))
+    by_constants = sensor_model.design(imu, constants, x, nothing, np.zeros(1))
+    slope = (a @ by_constants[0, :k])[: at.shared]
+    slope[at.bias] = 0.0  # a bias is no acceleration
     slope /= max(float(a @ a), 1e-300)
-    return float(np.sqrt(slope @ fit.covariance @ slope))
+    shared = slice(at.shared)
+    return float(np.sqrt(slope @ fit.covariance[shared, shared] @ slope))
 
 
 def _of_mounting(
@@ -403,7 +495,8 @@ def verdict_of(
 ) -> schema.Verdict:
     """Return whether a mounting can be relied on, with the reason.
 
-    It is known to `max_error` degrees, predicts a left-out log, and no joint deflects.
+    It is good if it is known to `max_error` degrees, predicts a left-out log, and no
+    joint deflects; usable if errors that a deflection has widened are as small.
 
     Parameters
     ----------
@@ -447,13 +540,16 @@ def verdict_of(
         reason += (
             f"; the link after {bends.joint} accelerates {bends.acceleration:.2g}"
             f" {unit} (RMS) beyond what its encoder tells: the joint is elastic or has"
-            " backlash, or the clocks of IMU and encoders drift apart; errors are"
-            " widened: record slower, smoother swings, and run seqid diagnose"
+            " backlash; errors are widened: record slower, smoother swings, and run"
+            " seqid diagnose"
         )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
-    good = worst < settings.max_error and converged and not (matters or unlike or bends)
-    return schema.Verdict(joint=imu.name, good=good, reason=reason)
+    reliable = worst < settings.max_error and converged and not (matters or unlike)
+    good = reliable and bends is None
+    # Errors hold what bends: that is more than noise, and no reason for doubt.
+    level: schema.Level = "usable" if reliable else "poor"
+    return schema.Verdict(joint=imu.name, good=good, level=level, reason=reason)
 
 
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:

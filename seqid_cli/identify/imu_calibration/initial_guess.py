@@ -10,16 +10,17 @@ they span only a plane. The paper rotates joint 1; every joint before the IMU se
 well.
 
 Without a guess: each reading is a linear function of the link's specific force f and of
-H (see `sensor_model`), with twelve coefficients and a bias, whatever the mounting.
-Their least-squares misfit over shifts of the clock finds the offset. The same sums, 13
-by 13, hold all that a mounting can be judged by, so that many starts cost little.
+H (see `sensor_model`), with twelve coefficients and a bias, whatever the mounting. The
+least-squares misfit over clocks finds that of each log (see `motion.imu.clock`). The
+same sums, 13 by 13, hold all that a mounting can be judged by, so that many starts cost
+little.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -29,6 +30,19 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
 from seqid_cli.motion.imu.array import read_angular
+from seqid_cli.motion.imu.clock import (
+    Clock,
+    ClockScan,
+    Sums,
+    added,
+    left_at,
+    rates_of,
+    scan_of,
+    search,
+    share_left,
+    solved,
+    sums_at,
+)
 from seqid_cli.motion.imu.link_velocity import axes_in_link
 from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.motion.motion import Motion
@@ -172,7 +186,7 @@ def fit_rotation(pairs: list[Pair]) -> Array:
 
 
 Tables = list[tuple[Segment, Array]]  # with f, H, w and one of its nodes (N, 16)
-Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
+Clocks = dict[int, Clock]  # by the number of the log
 
 
 def starting_constants(
@@ -180,53 +194,122 @@ def starting_constants(
 ) -> Constants:
     """Return the constants to begin with; `guess` (3, 3) is one of the starts."""
     tables = [(segment, _table(segment, robot, imu)) for segment in segments]
-    delay = _delay(tables)
-    sums = _sums(tables, delay)
+    clocks, sums = _clocks(tables)
     # The 24 ways in which a box may be screwed on are starts as well.
     sides = [("y", 90 * a) for a in range(4)] + [("z", 90), ("z", -90)]
     first = [Rotation.from_euler(*side, degrees=True) for side in sides]
     second = [Rotation.from_euler("x", 90 * b, degrees=True) for b in range(4)]
     turns = [(a * b).as_matrix() for a in first for b in second]
     tried = [_mounting(imu, sums, R) for R in (guess, *turns)]
-    return replace(min(tried, key=lambda pair: pair[0])[1], delay=delay)
+    best = min(tried, key=lambda start: start.cost)
+
+    of_logs = np.array([(clock.offset_s, clock.rate) for clock in clocks.values()])
+    average = np.median(of_logs, axis=0)
+    axes = nominal_axes(imu)
+    return Constants(
+        R=best.mounting.R,
+        lever=best.mounting.lever,
+        delay=float(average[0]),
+        rate=float(average[1]),
+        bias=best.bias,
+        log_gain=np.zeros(len(axes)),
+        tilt=np.zeros((len(axes), 2)),
+        logs=tuple(clocks),
+        clock_changes=of_logs - average,
+    )
 
 
-def _delay(
+def _clocks(
     tables: Tables,
     *,
     largest_s: float = 0.5,
     coarse_s: float = 0.016,
     better: float = 0.7,
-) -> float:
-    """Return the clock offset [s] of least misfit, on a coarse, then a fine grid."""
+    rounds: int = 2,
+) -> tuple[Clocks, Sums]:
+    """Return the clock of least misfit of each log, and the sums of all at these.
 
-    # No shift is believed that leaves more than the share `better` of the misfit
-    # without one.
-    def misfits(delays: NDArray[Any]) -> Array:
-        """Return the shares of the readings' power beyond the best linear function."""
-        shares = []
-        for delay in delays:
-            xx, xy, yy = _sums(tables, float(delay))
-            scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
-            b = xy / scale[:, None]
-            solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
-            misfit = yy - np.sum(b * solved, axis=0)
-            power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
-            shares.append(np.mean(np.maximum(misfit, 0.0) / power))
-        return np.array(shares)
-
+    All logs have one clock, the encoders' own, unless others explain the readings
+    better: they must leave less than the share `better` of the misfit.
+    """
     fine = max(segment.spacing for segment, _ in tables)
-    longest = min(segment.samples * segment.spacing for segment, _ in tables)
     coarse = fine * max(1, round(coarse_s / fine))
-    count = int(min(largest_s, longest / 4) / coarse)
-    delays = np.arange(-count, count + 1) * coarse
-    coarse_misfits = misfits(delays)
-    # The delay in the middle of the grid is zero.
-    middle = 0.0
-    if coarse_misfits.min() <= better * coarse_misfits[count]:
-        middle = float(delays[np.argmin(coarse_misfits)])
-    delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
-    return float(delays[np.argmin(misfits(delays))])
+    by_log: dict[int, Tables] = {}
+    for segment, x in tables:
+        by_log.setdefault(segment.log, []).append((segment, x))
+    shortest = min(
+        sum(segment.samples * segment.spacing for segment, _ in of_log)
+        for of_log in by_log.values()
+    )
+    reach = int(min(largest_s, shortest / 4) / coarse)
+    shifts = np.arange(-reach, reach + 1, dtype=np.float64) * coarse
+    size = _sizes(tables)
+    scans = {
+        log: _scan(of_log, size, Clock(), shifts) for log, of_log in by_log.items()
+    }
+
+    # One clock for all logs.
+    together = list(scans.values())
+    rates = rates_of(together)
+    likeliest = search(together, rates)
+    common = Clock()
+    if likeliest.cost < better * left_at(together, common):
+        common = likeliest.clock
+    clocks = dict.fromkeys(scans, common)
+
+    # One mounting for all logs, by which each may have a clock of its own.
+    for _ in range(rounds):
+        sums = added([sums_at(scan, clocks[log]) for log, scan in scans.items()])
+        theta = solved(sums)
+        for log, scan in scans.items():
+            likeliest = search([scan], rates, partial(_share_left, theta))
+            is_better = likeliest.cost < better * left_at([scan], common, theta)
+            clocks[log] = likeliest.clock if is_better else common
+
+    # All clocks to a node, by the same step.
+    steps = round(coarse / fine)
+    small = np.arange(-steps, steps + 1, dtype=np.float64) * fine
+    finer = [_scan(of_log, size, clocks[log], small) for log, of_log in by_log.items()]
+    step = search(finer, np.zeros(1)).clock
+    clocks = {
+        log: replace(clock, offset_s=clock.offset_s + step.offset_s)
+        for log, clock in clocks.items()
+    }
+    sums = added([sums_at(scan, step) for scan in finer])
+    return clocks, Sums(xx=sums.xx, xy=sums.xy * size, yy=sums.yy * size**2)
+
+
+def _share_left(theta: Array, sums: Sums, _: float) -> Array:
+    """Return the share that one mounting leaves, whatever the rate."""
+    return share_left(sums, theta)
+
+
+def _sizes(tables: Tables) -> Array:
+    """Return the standard deviation (C,) of the readings, which have several units."""
+    values = np.concatenate([segment.readings.values for segment, _ in tables])
+    return np.asarray(np.maximum(np.std(values, axis=0), 1e-6))
+
+
+def _scan(tables: Tables, size: Array, clock: Clock, shifts: Array) -> ClockScan:
+    """Sum the tables of one log for shifts (S,) s beyond a clock, readings by size."""
+    readings = tables[0][0].readings
+    origin_s = tables[0][0].origin_s
+    period = readings.t[1] - readings.t[0]
+    values = readings.values / size
+    t = np.concatenate([segment.elapsed for segment, _ in tables])
+    x = np.concatenate([x for _, x in tables])
+    late = clock.at(t)
+
+    def read(instants: Array) -> tuple[Array, Array]:
+        """Return the readings (N, C) next to stamps, and whether they count (N,)."""
+        stamps = instants + late - origin_s
+        at = np.round((stamps - readings.t[0]) / period)
+        inside = (at >= 0) & (at < len(readings.t))
+        index = np.clip(at, 0, len(readings.t) - 1).astype(np.intp)
+        counts = inside & readings.good[index].all(axis=1)
+        return values[index], counts.astype(np.float64)
+
+    return scan_of(t, x, read, shifts)
 
 
 def _table(
@@ -242,27 +325,16 @@ def _table(
     return np.hstack([x, np.ones((len(x), 1))])
 
 
-def _sums(tables: Tables, delay: float) -> Sums:
-    """Return sums over readings a delay later, to the nearest sample."""
-    total = []
-    for segment, x in tables:
-        readings = segment.readings
-        period = readings.t[1] - readings.t[0]
-        at = np.round((segment.t + delay - readings.t[0]) / period)
-        inside = (at >= 0) & (at < len(readings.t))
-        index = np.clip(at, 0, len(readings.t) - 1).astype(np.intp)
-        y = readings.values[index]
-        w = inside * readings.good[index].all(axis=1).astype(float)
-        wx = x * w[:, None]
-        total.append((wx.T @ x, wx.T @ y, w @ y**2))
-    xx, xy, yy = (np.sum(part, axis=0) for part in zip(*total, strict=True))
-    return xx, xy, yy
+class _Start(NamedTuple):
+    """A mounting to begin with, its cost, and the biases (C,) that follow from it."""
+
+    cost: float
+    mounting: Mounting
+    bias: Array
 
 
-def _mounting(
-    imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3
-) -> tuple[float, Constants]:
-    """Return the cost and the constants of a least-squares fit from one start.
+def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> _Start:
+    """Return what a least-squares fit from one turn `R` (3, 3) ends with.
 
     The fit of turn and lever takes the sums alone, and biases follow. `hold` is the
     weight on the lever, in readings' noise per m.
@@ -294,12 +366,8 @@ def _mounting(
 
     result = least_squares(off, np.zeros(6), method="lm")
     mounting = placed(result.x)
-    constants = Constants(
-        R=mounting.R,
-        lever=mounting.lever,
-        delay=0.0,
+    return _Start(
+        cost=float(result.cost),
+        mounting=mounting,
         bias=y_mean - mounting.matrix @ x_mean,
-        log_gain=np.zeros(len(axes)),
-        tilt=np.zeros((len(axes), 2)),
     )
-    return float(result.cost), constants

@@ -81,7 +81,8 @@ class Linearised:
     segment: Segment
     r: Array  # (N, C)
     J: Array  # (N, C, 3 m) in q, dq, ddq of the moving joints
-    G: Array  # (N, C, b) in the constants, then in `Local.own`
+    G: Array  # (N, C, b) in the constants at `places`, then in `Local.own`
+    places: Index  # (s,) among all p, of the constants that the log knows
     off: Array  # (M,) residual of the segment's rows
     outliers: Mask
     weights: Array  # (N, C) robust, zero where a reading does not count
@@ -92,7 +93,7 @@ class Linearised:
 
 @dataclass(frozen=True, kw_only=True)
 class Reduced:
-    """Equations of a segment in the constants (p,) alone.
+    """Equations of a segment in the s constants alone that its log knows.
 
     The trajectory and then the segment's own unknowns (`Local.own`) are eliminated.
     """
@@ -116,21 +117,22 @@ class Reduced:
         return np.asarray(linear.J @ (segment.at_samples @ moves).reshape(shape))
 
     def through(self, columns: Array) -> Array:
-        """Return columns (..., p) in the constants, of border columns (..., b)."""
-        p = self.follow.shape[1]
-        return np.asarray(columns[..., :p] - columns[..., p:] @ self.follow)
+        """Return columns (..., s) in the constants, of border columns (..., b)."""
+        s = self.follow.shape[1]
+        return np.asarray(columns[..., :s] - columns[..., s:] @ self.follow)
 
     def readings(self) -> Array:
-        """Return columns (N, C, p) of the readings in the constants.
+        """Return columns (N, C, s) of the readings in the constants.
 
         The trajectory and the segment's own unknowns follow the constants.
         """
         return self.through(self.linear.G - self.followed(self.back))
 
     def moved(self, local: Local, step: Array, share: float) -> Local:
-        """Return the segment's unknowns after a step of the constants."""
-        change = share * self.own_free - self.follow @ step
-        moved = share * self.free - self.back @ np.concatenate([step, change])
+        """Return the segment's unknowns after a step (p,) of all constants."""
+        of_log = step[self.linear.places]
+        change = share * self.own_free - self.follow @ of_log
+        moved = share * self.free - self.back @ np.concatenate([of_log, change])
         return Local(
             trajectory=local.trajectory + moved.reshape(local.trajectory.shape),
             own=local.own + change,
@@ -149,14 +151,21 @@ def residual(
     motion[:, moving] = moved.transpose(1, 2, 0)
     motion[0, list(segment.locked)] += local.own[count:, None]
     x = link_state(robot, imu.after_joint, motion)
-    y, good = segment.readings.at(segment.t + constants.delay)
+    stamps = stamps_of(segment, constants)
+    y, good = segment.readings.at(stamps)
     if constants.gyro_delay:
         gyros = slice(len(imu.axes), None)
-        later = segment.t + constants.delay + constants.gyro_delay
+        later = stamps + constants.gyro_delay
         y[:, gyros] = segment.readings.at(later)[0][:, gyros]
     predicted = x @ mounted(imu, constants).matrix.T
     predicted = predicted + constants.bias + local.own[:count]
     return Residual(value=y - predicted, good=good, motion=motion, link=x)
+
+
+def stamps_of(segment: Segment, constants: Constants) -> Array:
+    """Return the IMU's stamps (N,) s of a segment's nodes, since its readings began."""
+    clock = constants.clock(segment.log)
+    return np.asarray(segment.t + clock.at(segment.elapsed))
 
 
 def linearise(
@@ -203,7 +212,8 @@ def linearise(
     dy = np.gradient(x @ place.matrix.T, segment.spacing, axis=0)
     bias = np.broadcast_to(np.eye(count), (*r.shape, count))
     offsets = slopes[:, :, 0, list(segment.locked)]
-    G = np.concatenate([design(imu, constants, x, dy), bias, offsets], axis=2)
+    by_constants = design(imu, constants, x, dy, segment.elapsed)
+    G = np.concatenate([by_constants, bias, offsets], axis=2)
 
     # Tukey's weights, unless these are given.
     u = r / (ROBUST * sigma)
@@ -227,7 +237,7 @@ def linearise(
         scaled = by_ddq * over[:, None] * sizes.deflection
     whiten = _whitener(root, scaled)
 
-    near = segment.readings.near(segment.t + constants.delay)
+    near = segment.readings.near(stamps_of(segment, constants))
     rough = segment.readings.rough[near] / np.sqrt(segment.share)
     known = np.isfinite(rough)
     jolts = _rows(
@@ -244,6 +254,7 @@ def linearise(
         r=whiten(r[:, :, None])[:, :, 0],
         J=whiten(J.reshape(*r.shape, 3 * J.shape[3])),
         G=whiten(G),
+        places=constants.places_of(segment.log),
         off=segment.value - segment.rows @ local.trajectory.ravel(),
         outliers=good & (np.abs(u) >= 1.0),
         weights=weights,

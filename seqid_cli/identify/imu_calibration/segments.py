@@ -149,7 +149,7 @@ class _Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """A stretch of one log on nodes `t` (N,) s.
+    """A stretch of one log on nodes `t` (N,) s, which begin `origin_s` into the log.
 
     `motion` (3, n, N) are q, dq, ddq of all joints; those of the m `moving` ones are to
     be replaced by the unknowns, positions at N + 2 REACH nodes that start at `start`.
@@ -163,6 +163,7 @@ class Segment:
 
     log: int
     t: Array
+    origin_s: float
     spacing: float
     motion: Array
     moving: tuple[int, ...]
@@ -183,6 +184,11 @@ class Segment:
     def samples(self) -> int:
         """The number of nodes with readings."""
         return len(self.t)
+
+    @property
+    def elapsed(self) -> Array:
+        """The nodes' seconds (N,) since the log began."""
+        return self.t + self.origin_s
 
     @cached_property
     def at_samples(self) -> csr_array:
@@ -366,6 +372,7 @@ class _Log:
         return Segment(
             log=self.number,
             t=self.recording.t[nodes],
+            origin_s=self.recording.offset,
             spacing=stride / rate,
             motion=motion,
             moving=tuple(moving),

@@ -1,9 +1,10 @@
 """The constants of an IMU, their priors, and the derivatives of the readings in them.
 
 Each channel has a gain, a bias and a unit axis, which is turned a little from the
-nominal one; the array has a mounting R, a lever and a clock (see `motion.imu.sensor`).
-A gyro may be later than the accelerometers: the filters of the two inside one chip
-delay them differently.
+nominal one; the array has a mounting R, a lever and a clock (see `motion.imu.sensor`
+and `motion.imu.clock`). The clock's offset and rate change a little from log to log. A
+gyro may be later than the accelerometers: the filters of the two inside one chip delay
+them differently.
 """
 
 from dataclasses import dataclass
@@ -12,31 +13,106 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.motion.imu.array import layout
+from seqid_cli.motion.imu.clock import Clock
 from seqid_cli.motion.imu.sensor import Mounting
 from seqid_cli.robot.types import Imu
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Index
 
 FEW = 6  # accelerometers below which the widths stay as they begin
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Standard deviations (C,) of the priors on gains, tilts (rad) and bias changes."""
+    """Standard deviations of the priors whose widths come from the data.
+
+    They are those of gains, of tilts [rad] and of changes of a bias, (C,) each, that of
+    the clock's rate (1,) [s/s], and those of its offset [s] and rate from log to log,
+    (2,).
+    """
 
     gain: Array
     tilt: Array
     drift: Array
+    rate: Array
+    clock: Array
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the constants of an IMU with C channels stand among all p.
+
+    Those that all logs share come first, then two of each log: by how much the offset
+    and the rate of the clock are larger in it.
+    """
+
+    channels: int
+
+    turn = slice(0, 3)
+    lever = slice(3, 6)
+    delay = 6
+    rate = 7
+
+    @property
+    def bias(self) -> slice:
+        """The places of the biases (C,)."""
+        return slice(8, 8 + self.channels)
+
+    @property
+    def gain(self) -> slice:
+        """The places of the gains (C,)."""
+        return slice(8 + self.channels, 8 + 2 * self.channels)
+
+    @property
+    def tilt(self) -> slice:
+        """The places of the tilts (2 C,)."""
+        return slice(8 + 2 * self.channels, 8 + 4 * self.channels)
+
+    @property
+    def gyro_delay(self) -> int:
+        """The place of the gyro's delay."""
+        return 8 + 4 * self.channels
+
+    @property
+    def shared(self) -> int:
+        """The number of constants that all logs share."""
+        return 9 + 4 * self.channels
+
+    def of_log(self, k: int) -> Index:
+        """Return the places (shared + 2,) of the constants that log k knows."""
+        own = self.shared + 2 * k
+        return np.concatenate([np.arange(self.shared), [own, own + 1]])
 
 
 def first_widths(
-    c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02
+    c: int,
+    logs: int,
+    *,
+    gain: float = 0.02,
+    tilt: float = 0.01,
+    drift: float = 0.02,
+    rate: float = 0.01,
+    offset_apart_s: float = 0.02,
+    rate_apart: float = 1e-3,
+    single: float = 1e-3,
 ) -> Widths:
-    """Return the first widths of the priors, for `c` channels."""
-    return Widths(gain=np.full(c, gain), tilt=np.full(c, tilt), drift=np.full(c, drift))
+    """Return the first widths of the priors, for `c` channels and some logs.
+
+    A single log does not tell its own clock from that of all: its changes are held to a
+    share `single` of the widths.
+    """
+    share = 1.0 if logs > 1 else single
+    return Widths(
+        gain=np.full(c, gain),
+        tilt=np.full(c, tilt),
+        drift=np.full(c, drift),
+        rate=np.array([rate]),
+        clock=share * np.array([offset_apart_s, rate_apart]),
+    )
 
 
 def prior_of(
     widths: Widths,
+    logs: int,
     *,
     lever: float = 1.0,
     delay: float = 0.3,
@@ -49,8 +125,10 @@ def prior_of(
     ----------
     widths : Widths
         Widths of C channels.
+    logs : int
+        Number of logs.
     lever, delay, bias, gyro_delay : float
-        Standard deviations of the lever [m], of the clock offset [s], of biases
+        Standard deviations of the lever [m], of the clock's offset [s], of biases
         [m/s^2 or rad/s] and of the gyro's delay [s]. The digital filters of gyros and
         accelerometers in one chip differ by up to some 2 ms.
 
@@ -64,10 +142,12 @@ def prior_of(
             [np.pi] * 3,
             [lever] * 3,
             [delay],
+            widths.rate,
             np.full(len(widths.gain), bias),
             widths.gain,
             np.repeat(widths.tilt, 2),
             [gyro_delay],
+            np.tile(widths.clock, logs),
         ]
     )
 
@@ -116,7 +196,7 @@ class Constants:
     lever : array (3,)
         Place of the IMU in the link's frame [m].
     delay : float
-        Offset of the IMU's clock to the encoders [s].
+        Offset of the IMU's clock to the encoders as a log begins, on average [s].
     bias : array (C,)
         Biases [m/s^2 or rad/s].
     log_gain : array (C,)
@@ -125,6 +205,12 @@ class Constants:
         Turns of the axes from the nominal ones [rad].
     gyro_delay : float
         Delay of the gyro behind the accelerometers [s].
+    rate : float
+        By which the IMU's clock gains on the encoders', on average [s/s].
+    logs : tuple of int
+        Numbers of the L logs.
+    clock_changes : array (L, 2)
+        By how much offset [s] and rate [s/s] are larger in each log.
     """
 
     R: Array
@@ -134,23 +220,38 @@ class Constants:
     log_gain: Array
     tilt: Array
     gyro_delay: float = 0.0
+    rate: float = 0.0
+    logs: tuple[int, ...]
+    clock_changes: Array
+
+    @property
+    def places(self) -> Places:
+        """Where each constant stands in `values`."""
+        return Places(len(self.bias))
+
+    def places_of(self, log: int) -> Index:
+        """Return the places of the constants that readings of a log depend on."""
+        return self.places.of_log(self.logs.index(log))
+
+    def clock(self, log: int) -> Clock:
+        """Return the clock of a log, by its number."""
+        offset_s, rate = self.clock_changes[self.logs.index(log)].tolist()
+        return Clock(self.delay + offset_s, self.rate + rate)
 
     @property
     def values(self) -> Array:
-        """The constants as a vector (p,): turn (zero here), lever, delay and so on.
-
-        Then come biases, gains, tilts and the gyro's delay.
-        """
+        """The constants as a vector (p,) in the order of `Places`, the turn zero."""
         turn = np.zeros(3)
         return np.concatenate(
             [
                 turn,
                 self.lever,
-                [self.delay],
+                [self.delay, self.rate],
                 self.bias,
                 self.log_gain,
                 self.tilt.ravel(),
                 [self.gyro_delay],
+                self.clock_changes.ravel(),
             ]
         )
 
@@ -161,15 +262,18 @@ class Constants:
 
     def moved(self, step: Array) -> "Constants":
         """Return the constants after a step (p,)."""
-        bias, gain, tilt = np.split(step[7:-1], np.array([1, 2]) * len(self.bias))
+        at = self.places
         return Constants(
-            R=Rotation.from_rotvec(step[:3]).as_matrix() @ self.R,
-            lever=self.lever + step[3:6],
-            delay=self.delay + float(step[6]),
-            bias=self.bias + bias,
-            log_gain=self.log_gain + gain,
-            tilt=self.tilt + tilt.reshape(-1, 2),
-            gyro_delay=self.gyro_delay + float(step[-1]),
+            R=Rotation.from_rotvec(step[at.turn]).as_matrix() @ self.R,
+            lever=self.lever + step[at.lever],
+            delay=self.delay + float(step[at.delay]),
+            bias=self.bias + step[at.bias],
+            log_gain=self.log_gain + step[at.gain],
+            tilt=self.tilt + step[at.tilt].reshape(-1, 2),
+            gyro_delay=self.gyro_delay + float(step[at.gyro_delay]),
+            rate=self.rate + float(step[at.rate]),
+            logs=self.logs,
+            clock_changes=self.clock_changes + step[at.shared :].reshape(-1, 2),
         )
 
 
@@ -188,7 +292,7 @@ def gauge_information(imu: Imu, p: int, *, hold: float = 1e-6) -> Array:
     if layout(imu).acceleration:
         return np.zeros((p, p))
     axes = imu.axes.reshape(-1, 3)
-    first = 7 + 2 * len(nominal_axes(imu))  # place of the first tilt
+    first = Places(len(nominal_axes(imu))).tilt.start
     rows = np.zeros((3, p))
     for a in range(2):
         turns = np.cross(axes, _tangents(axes)[:, a])
@@ -219,8 +323,8 @@ def mounted(imu: Imu, constants: Constants) -> Mounting:
     return Mounting(imu.after_joint, positions, axes, constants.R, constants.lever)
 
 
-def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
-    """Return the derivatives of readings in the constants.
+def design(imu: Imu, constants: Constants, x: Array, dy: Array, t: Array) -> Array:
+    """Return the derivatives of readings in the constants that one log knows.
 
     Parameters
     ----------
@@ -232,31 +336,40 @@ def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
         State of the link: specific force, the matrix H, angular velocity.
     dy : array (N, C)
         Rate of the readings [their unit per s].
+    t : array (N,)
+        Seconds since the log began.
 
     Returns
     -------
-    array (N, C, p)
-        Derivatives, p = 8 + 4 C.
+    array (N, C, shared + 2)
+        Derivatives, in the order of `Places.of_log`.
     """
     place = mounted(imu, constants)
     c = dy.shape[1]
     seen, pull, turn = place.by_place(x)
     across = _tangents(nominal_axes(imu)) @ constants.R.T
-    G = np.zeros((*dy.shape, constants.count))
+    at = constants.places
+    G = np.zeros((*dy.shape, at.shared + 2))
     gyros = slice(len(imu.axes), None)
-    G[:, :, :3] = turn
-    G[:, :, 3:6] = pull
+    G[:, :, at.turn] = turn
+    G[:, :, at.lever] = pull
     # The reading at t + delay is compared with the prediction at t. The derivative in
     # the delay is therefore the rate of the reading with its sign turned.
-    G[:, :, 6] = -dy
-    G[:, gyros, -1] = -dy[:, gyros]
+    by_offset = -dy
+    by_rate = -dy * t[:, None]
+    G[:, :, at.delay] = by_offset
+    G[:, :, at.rate] = by_rate
+    G[:, :, at.shared] = by_offset
+    G[:, :, at.shared + 1] = by_rate
+    G[:, gyros, at.gyro_delay] = by_offset[:, gyros]
 
     channel = np.arange(c)
-    G[:, channel, 7 + channel] = 1.0
-    G[:, channel, 7 + c + channel] = np.sum(seen * (place.axes @ place.R.T), axis=2)
+    G[:, channel, at.bias.start + channel] = 1.0
+    by_gain = np.sum(seen * (place.axes @ place.R.T), axis=2)
+    G[:, channel, at.gain.start + channel] = by_gain
     sideways = np.exp(constants.log_gain)[:, None] * np.einsum(
         "nci,cai->nca", seen, across
     )
     for a in range(2):
-        G[:, channel, 7 + 2 * c + 2 * channel + a] = sideways[:, :, a]
+        G[:, channel, at.tilt.start + 2 * channel + a] = sideways[:, :, a]
     return G

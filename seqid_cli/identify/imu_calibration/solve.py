@@ -29,14 +29,19 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
 
+# Two clocks differ by that much [s/s] if nothing is wrong: by their quartzes.
+QUARTZ = 5e-5
+# Of a clock's offset [s] and rate [s/s] from log to log: far below what any log shows.
+LEAST_CLOCK_WIDTHS = (1e-5, 1e-6)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
     """Estimated constants of an IMU, with their errors.
 
     `covariance` (p, p) and the prior standard deviations `prior` (p,) are in the order
-    of the constants. `kept` and `outliers` count readings. `moves` (p, d) are the
-    changes of the constants if the arm is one of d others.
+    of `sensor_model.Places`. `kept` and `outliers` count readings. `moves` (p, d) are
+    the changes of the constants if the arm is one of d others.
     """
 
     constants: Constants
@@ -67,6 +72,7 @@ class _State:
     ) -> "_State":
         """Return the state before the first round."""
         count = len(start.bias)
+        logs = len(start.logs)
         locals_ = [
             Local(trajectory=segment.start, own=np.zeros(count + len(segment.locked)))
             for segment in segments
@@ -77,13 +83,18 @@ class _State:
             imu=imu,
             constants=start,
             locals_=locals_,
-            widths=sensor_model.first_widths(count),
+            widths=sensor_model.first_widths(count, logs),
         )
+
+    @property
+    def prior_std(self) -> Array:
+        """The standard deviations (p,) of the priors on the constants."""
+        return sensor_model.prior_of(self.widths, len(self.constants.logs))
 
     @property
     def prior(self) -> Array:
         """The information (p, p) of the priors on the constants."""
-        prior = sensor_model.prior_of(self.widths)
+        prior = self.prior_std
         return np.diag(prior**-2.0) + sensor_model.gauge_information(
             self.imu, len(prior)
         )
@@ -123,9 +134,12 @@ class _State:
 
     def solved(self, reductions: list[Reduced]) -> tuple[Array, Array]:
         """Return the step (p,) of the constants and their information (p, p)."""
-        first = -self.constants.values / sensor_model.prior_of(self.widths) ** 2
-        gradient = sum((r.gradient for r in reductions), first)
-        information = sum((r.information for r in reductions), self.prior)
+        gradient = -self.constants.values / self.prior_std**2
+        information = self.prior
+        for r in reductions:
+            places = r.linear.places
+            gradient[places] += r.gradient
+            information[np.ix_(places, places)] += r.information
         information = 0.5 * (information + information.T)
         step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         return step, information
@@ -268,7 +282,10 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
     constants = state.constants
     widths = state.widths
     c = len(constants.bias)
-    gain_open, tilt_open = np.split(np.diag(covariance)[7 + c : -1], [c])
+    at = constants.places
+    variance = np.diag(covariance)
+    gain_open = variance[at.gain]
+    tilt_open = variance[at.tilt]
     drift = np.array([local.own[:c] for local in state.locals_])
     drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
 
@@ -289,6 +306,18 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
             widths.drift[kind] = sensor_model.next_width(
                 drift[:, kind], drift_open[:, kind], widths.drift[kind]
             )
+    widths.rate[:] = sensor_model.next_width(
+        np.array([constants.rate]), variance[[at.rate]], widths.rate, least=QUARTZ
+    )
+    if len(constants.logs) > 1:
+        clock_open = variance[at.shared :].reshape(-1, 2)
+        for k, least in enumerate(LEAST_CLOCK_WIDTHS):
+            widths.clock[k] = sensor_model.next_width(
+                constants.clock_changes[:, k],
+                clock_open[:, k],
+                widths.clock[[k]],
+                least=least,
+            )
     return widths
 
 
@@ -302,12 +331,15 @@ def _finished(
 ) -> Fit:
     """Return the fit with standard errors, from the equations at its end."""
     _, information = state.solved(reductions)
-    local_prior = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
+    local_prior = np.zeros_like(information)
+    for r in reductions:
+        of_log = np.ix_(r.linear.places, r.linear.places)
+        local_prior[of_log] += (r.follow.T * r.precision) @ r.follow
     # The model's covariance, each standard error at least that of the scores' own
     # variance: over blocks of time, and over whole logs, since what bends does so alike
     # throughout a move.
     model = np.asarray(np.linalg.inv(information))
-    blocks = [_scores(r) for r in reductions]
+    blocks = [_scores(r, len(model)) for r in reductions]
     largest = np.diag(model)
     for scores, parameters in (
         (np.concatenate(blocks), 5.0),
@@ -322,7 +354,7 @@ def _finished(
     return Fit(
         constants=state.constants,
         covariance=model * np.outer(factor, factor),
-        prior=sensor_model.prior_of(state.widths),
+        prior=state.prior_std,
         kept=sum(int((r.linear.weights > 0).sum()) for r in reductions),
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
@@ -343,7 +375,9 @@ def _by_log(reductions: list[Reduced], blocks: list[Array]) -> Array:
     return np.array(log_scores)
 
 
-def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -> Array:
+def _scores(
+    of: Reduced, p: int, *, block_s: float = 0.25, block_periods: float = 4.0
+) -> Array:
     """Return the scores (blocks, p) of a segment, summed over blocks of time."""
     linear = of.linear
     segment = linear.segment
@@ -355,7 +389,9 @@ def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -
     np.add.at(
         out, block[segment.at], (segment.information * linear.off)[:, None] * rows
     )
-    return out
+    scores = np.zeros((len(out), p))
+    scores[:, linear.places] = out
+    return scores
 
 
 def _left_out(reductions: list[Reduced], information: Array) -> float | None:
@@ -372,14 +408,19 @@ def _left_out(reductions: list[Reduced], information: Array) -> float | None:
     before = 0.0
     for log in logs:
         members = [r for r in reductions if r.linear.segment.log == log]
-        S = sum((r.information for r in members), np.zeros((p, p)))
-        g = sum((r.g[:p] - r.follow.T @ r.g[p:] for r in members), np.zeros(p))
+        S = np.zeros((p, p))
+        g = np.zeros(p)
+        for r in members:
+            places = r.linear.places
+            S[np.ix_(places, places)] += r.information
+            g[places] += r.through(r.g)
         step = -without(information, S, g)
         for r in members:
             # The trajectory may still move at fixed constants, as the fit is not quite
             # at its minimum.
             settled = r.linear.r - r.followed(r.free[:, None])[..., 0]
-            total += float(np.sum((settled - r.readings() @ step) ** 2))
+            of_log = step[r.linear.places]
+            total += float(np.sum((settled - r.readings() @ of_log) ** 2))
             before += float(np.sum(settled**2))
     return float(np.sqrt(total / max(before, 1e-12)))
 

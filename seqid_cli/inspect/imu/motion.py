@@ -4,7 +4,7 @@ Whatever the mounting, an accelerometer on a link reads a linear function of the
 specific force (3), angular acceleration (3) and products of angular velocity (6) in the
 link's frame, a gyro one of the angular velocity (3), at the IMU's own time. Both sides
 go through the same low-pass; the linear function is fitted to each channel for a range
-of time shifts.
+of clocks (see `motion.imu.clock`).
 
 The p features of a link's motion are X (N, p), the K readings y (N, K); a shift of s
 samples compares y(t) with X(t - s). `left` is what a fit leaves of the readings.
@@ -19,6 +19,13 @@ import numpy as np
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.imu.readings import odd_channel
 from seqid_cli.inspect.material import LogData
+from seqid_cli.motion.imu.clock import (
+    WINDOW_S,
+    Likeliest,
+    rates_of,
+    scan_of,
+    search,
+)
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.kinematics import link_motion
@@ -45,7 +52,11 @@ class LinkFit:
     left : float
         Share of their variance that is left.
     delay, delay_error : float
-        Time of the readings behind the encoders, and its standard error [s].
+        Time of the readings behind the encoders in the middle of the log, and its
+        standard error [s].
+    rate, rate_error : float
+        By which the IMU's clock gains on the encoders', zero where that does not show,
+        and its standard error [s/s].
     map : (K, p) array
         Readings from the features.
     map_error : float
@@ -59,6 +70,8 @@ class LinkFit:
     left: float
     delay: float
     delay_error: float
+    rate: float
+    rate_error: float
     map: Array
     map_error: float
     gain: float
@@ -72,18 +85,19 @@ class ShiftScan:
     readings: Array  # (N, K) through the motion's filter
     rows: Index  # that count
     total: float  # mean square of their readings without the mean, all channels
-    shifts: Index
-    left: Array  # mean square that each shift leaves
+    shifts: Array  # s
+    best: Likeliest
+    without_rate: Likeliest
 
     @property
     def share(self) -> float:
-        """Share of the variance that the best shift leaves."""
-        return float(self.left.min()) / self.total
+        """Share of the variance that the best clock leaves."""
+        return self.best.cost
 
     @property
-    def best_shift(self) -> float:
-        """The shift that leaves least, in samples."""
-        return float(self.shifts[self.left.argmin()])
+    def is_at_end(self) -> bool:
+        """Whether the best clock is the farthest that was tried."""
+        return self.best.clock.offset_s in (self.shifts[0], self.shifts[-1])
 
 
 def scan(
@@ -94,7 +108,7 @@ def scan(
     max_shift_s: float = 0.06,
     grid: int = 25,
 ) -> ShiftScan | None:
-    """Compare readings with the features of a link over a range of shifts.
+    """Compare readings with the features of a link over a range of clocks.
 
     Parameters
     ----------
@@ -115,20 +129,26 @@ def scan(
         None where too few rows can be used.
     """
     reach = max(1, round(max_shift_s * motion.rate_hz))
-    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
-    return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
+    step = max(1, round(2 * reach / (grid - 1)))
+    readings = motion.lowpass(values, motion.valid)
+    return _shifted(motion, features, readings, reach // step, step)
 
 
 def _shifted(
     motion: Motion,
     features: Array,
     readings: Array,
-    shifts: Index,
+    reach: int,
+    step: int,
     *,
     min_rows: int = 200,
+    windows: int = 40,
 ) -> ShiftScan | None:
-    """Scan shifts, by every fourth of some 4000 rows."""
-    farthest = shifts[-1]
+    """Scan `reach` shifts of `step` samples either way, by a fourth of some 4000 rows.
+
+    The log is cut into so many `windows` at most.
+    """
+    farthest = reach * step
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= farthest) & (rows < len(readings) - farthest)]
     rows = rows[:: max(1, len(rows) // 4000)]
@@ -139,17 +159,26 @@ def _shifted(
         return None
 
     few = rows[::4]
-    left = []
-    for shift in shifts:
-        residual = _fit(features[few - shift], readings[few]).residual
-        left.append(np.sum(residual**2, axis=1).mean())
+    rate_hz = motion.rate_hz
+    mean = readings[rows].mean(axis=0)
+    everywhere = np.ones(len(few))
+
+    def read(stamps: Array) -> tuple[Array, Array]:
+        """Return the readings (R, K) at stamps [s], without their mean."""
+        return readings[np.rint(stamps * rate_hz).astype(np.intp)] - mean, everywhere
+
+    x = np.column_stack([features[few] - features[few].mean(axis=0), everywhere])
+    shifts = np.arange(-reach, reach + 1) * step / rate_hz
+    window_s = max(WINDOW_S, len(readings) / rate_hz / windows)
+    scans = [scan_of(few / rate_hz, x, read, shifts, window_s=window_s)]
     return ShiftScan(
         features=features,
         readings=readings,
         rows=rows,
         total=total,
         shifts=shifts,
-        left=np.array(left),
+        best=search(scans, rates_of(scans)),
+        without_rate=search(scans, np.zeros(1)),
     )
 
 
@@ -194,16 +223,90 @@ def fit_link(
     best = scan(motion, features, values)
     if best is None:
         return None
-    is_at_end = int(best.left.argmin()) in (0, len(best.left) - 1)
-    if best.share > wide or is_at_end:
+    if best.share > wide or best.is_at_end:
         # None near zero fits: look farther, roughly.
         step = max(1, round(step_s * motion.rate_hz))
-        reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step * step
-        shifts = np.arange(-reach, reach + 1, step)
-        far = _shifted(motion, best.features, best.readings, shifts)
+        reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step
+        far = _shifted(motion, best.features, best.readings, reach, step)
         if far is not None and (best.share > FOLLOWS or far.share < 0.5 * best.share):
             best = far
     return _fine(imu, gyro, motion, best)
+
+
+class _Refined(NamedTuple):
+    """The clock that is best to a fraction of a sample.
+
+    `shift` is its delay in the middle of the rows, `drift` by how much it grows from
+    one sample to the next, in samples; `errors` (1 or 2,) are those of both. `X` (R, p)
+    are the features at its times, `fit` is what they leave.
+    """
+
+    shift: float
+    drift: float
+    errors: Array
+    X: Array
+    fit: "_MapFit"
+
+
+def _refined(
+    motion: Motion,
+    scanned: ShiftScan,
+    found: Likeliest,
+    *,
+    drifts: bool,
+    blocks: int = 8,
+    memory_s: float = 0.1,
+    max_error_s: float = 0.06,
+) -> _Refined:
+    """Refine a clock by Gauss and Newton, with a rate if it `drifts`.
+
+    Errors are the larger of what white noise leads to and of how the estimates move
+    when one of `blocks` parts of the log is left out: a coarse encoder's noise is far
+    from white. Rows within `memory_s` count as one. A clock that moves by more than
+    `max_error_s` is not determined.
+    """
+    rate_hz = motion.rate_hz
+    rows = scanned.rows
+    y = scanned.readings[rows]
+    middle = float(rows.mean())
+    powers = np.vander(rows - middle, 2, increasing=True)[:, : 1 + drifts]
+    start = rate_hz * found.clock.offset_s + found.clock.rate * middle
+    clock = np.array([start, found.clock.rate])[: 1 + drifts]
+    first = clock.copy()
+    slopes = np.gradient(scanned.features, axis=0)
+    limit = rate_hz * max_error_s
+
+    errors = np.full(len(clock), np.inf)
+    for _ in range(4):
+        shift = powers @ clock
+        nearest = np.rint(shift)
+        at = np.clip(rows - nearest.astype(np.intp), 0, len(scanned.readings) - 1)
+        X = scanned.features[at] + (nearest - shift)[:, None] * slopes[at]
+        fit = _fit(X, y)
+        # How the residual moves with the clock, as far as no other map makes up for it.
+        moved = slopes[at] @ fit.map.T
+        by_clock = np.stack(
+            [_fit(X, moved * power[:, None]).residual for power in powers.T], axis=2
+        )
+        information = np.einsum("rka,rkb->ab", by_clock, by_clock)
+        pull = -np.einsum("rka,rk->ra", by_clock, fit.residual)
+        if not np.all(np.diag(information) > 0.0):
+            break
+        change = np.linalg.lstsq(information, pull.sum(axis=0), rcond=1e-12)[0]
+        if abs(clock[0] + change[0] - first[0]) > limit:
+            break
+        covariance = np.linalg.pinv(information)
+        # What white noise, and what whole parts of the log, make of the clock.
+        mean_square = float(np.mean(fit.residual**2))
+        row_spacing = float(np.median(np.diff(rows)))
+        memory = max(1.0, memory_s * rate_hz / row_spacing)
+        parts = [part.sum(axis=0) for part in np.array_split(pull, blocks)]
+        by_parts = covariance @ np.transpose(parts)
+        by_noise = np.sqrt(memory * mean_square * np.diag(covariance))
+        errors = np.maximum(by_noise, np.linalg.norm(by_parts, axis=1))
+        clock = clock + change
+    drift = float(clock[1]) if drifts else 0.0
+    return _Refined(float(clock[0]), drift, errors, X, fit)
 
 
 def _fine(
@@ -212,55 +315,38 @@ def _fine(
     motion: Motion,
     scanned: ShiftScan,
     *,
-    blocks: int = 8,
     memory_s: float = 0.1,
+    min_rate: float = 2e-4,
 ) -> LinkFit:
-    """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton.
+    """Fit at the clock that is best to a fraction of a sample.
 
-    The delay's error is the larger of what white noise leads to and of how it moves
-    when one of `blocks` parts of the log is left out: a coarse encoder's noise is far
-    from white. Rows within `memory_s` count as one.
+    It has a rate if that is clear, and larger than `min_rate`: twice what two quartzes
+    differ by.
     """
-    rows = scanned.rows
-    y = scanned.readings[rows]
-    low, high = scanned.shifts[[0, -1]]
-    shift = scanned.best_shift
-    slopes = np.gradient(scanned.features, axis=0)
-    for _ in range(3):
-        nearest = round(shift)
-        at = rows - nearest
-        X = scanned.features[at] + (nearest - shift) * slopes[at]
-        fit = _fit(X, y)
-        # How the residual moves with the shift, as far as no other map makes up for it.
-        slope_of_residual = _fit(X, slopes[at] @ fit.map.T).residual
-        power = float(np.sum(slope_of_residual**2))
-        pull = -np.sum(slope_of_residual * fit.residual, axis=1)
-        if not low < shift < high or power == 0.0:
-            break
-        shift = float(np.clip(shift + pull.sum() / power, low, high))
-
-    mean_square = float(np.mean(fit.residual**2))
-    row_spacing = float(np.median(np.diff(rows)))
-    memory = max(1.0, memory_s * motion.rate_hz / row_spacing)
-    shift_error = np.inf
-    if low < shift < high and power > 0.0:
-        by_noise = float(np.sqrt(memory * mean_square * power))
-        pulls_of_blocks = [part.sum() for part in np.array_split(pull, blocks)]
-        by_blocks = float(np.linalg.norm(pulls_of_blocks))
-        shift_error = max(by_noise, by_blocks) / power
+    best = _refined(motion, scanned, scanned.best, drifts=True)
+    rate_error = float(best.errors[1])
+    if not abs(best.drift) > max(SIGMAS * rate_error, min_rate):
+        best = _refined(motion, scanned, scanned.without_rate, drifts=False)
 
     # Size of the map on its features, however few directions these show.
-    X = X - X.mean(axis=0)
+    X = best.X - best.X.mean(axis=0)
     size = max(float(np.linalg.norm(X)), 1e-12)
+    mean_square = float(np.mean(best.fit.residual**2))
+    memory = max(
+        1.0, memory_s * motion.rate_hz / float(np.median(np.diff(scanned.rows)))
+    )
+    channels = scanned.readings.shape[1]
     return LinkFit(
         imu=imu,
         gyro=gyro,
-        left=mean_square * y.shape[1] / scanned.total,
-        delay=shift / motion.rate_hz,
-        delay_error=shift_error / motion.rate_hz,
-        map=fit.map,
+        left=mean_square * channels / scanned.total,
+        delay=best.shift / motion.rate_hz,
+        delay_error=float(best.errors[0]) / motion.rate_hz,
+        rate=best.drift,
+        rate_error=rate_error,
+        map=best.fit.map,
         map_error=_map_error(X, mean_square * memory),
-        gain=float(np.linalg.norm(X @ fit.map.T) / size),
+        gain=float(np.linalg.norm(X @ best.fit.map.T) / size),
     )
 
 
@@ -369,7 +455,15 @@ def motion_findings(
                 f"its readings are {1e3 * fit.delay:.1f} +- {1e3 * error_s:.1g} ms"
                 " behind the encoders"
             )
+            if fit.rate:
+                text += " in the middle of the log"
             yield finding_of("imu_delay", text, name)
+        if fit.rate:
+            text = (
+                "the clocks of IMU and encoders drift apart by"
+                f" {1e3 * fit.rate:.2g} +- {1e3 * fit.rate_error:.1g} ms/s"
+            )
+            yield finding_of("imu_clock_drift", text, name)
         yield from _gyro(fit) if fit.gyro else _axes(data, fit)
 
 

@@ -20,12 +20,14 @@ import numpy as np
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import calibrated, layout, read_angular
+from seqid_cli.motion.imu.clock import Clock, clock_of_log
 from seqid_cli.motion.imu.link_velocity import (
     Turning,
     axes_in_link,
     joint_velocities,
     turning_of,
 )
+from seqid_cli.motion.imu.sensor import link_state
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import SOURCES, MotionOptions
 from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed, promising
@@ -183,7 +185,7 @@ def _from_imus(
         sees = imu.name in recording.gyros or layout(imu).acceleration
         if calibration is None or imu.name not in recording.accelerometers or not sees:
             continue
-        reading = _link_reading(imu, calibration, recording, motion)
+        reading = _link_reading(robot, imu, calibration, recording, motion)
         # Encoders know the mean acceleration of a link over a whole log well: what the
         # IMU has beside it is its bias.
         expected = link_angular_motion(
@@ -240,6 +242,7 @@ def _impossible(
 
 
 def _link_reading(
+    robot: Robot,
     imu: Imu,
     calibration: ImuCalibration,
     log: Recording,
@@ -254,20 +257,20 @@ def _link_reading(
     t = log.t
     valid = log.valid
 
-    def on_encoders_clock(readings: Array, offset_s: float) -> Array:
-        # Readings stamped t were taken at t - `offset_s`.
-        if not offset_s:
+    def on_encoders_clock(readings: Array, late: Array) -> Array:
+        # Readings stamped t + `late` were taken at t.
+        if not late.any():
             return readings
         moved = [
-            np.interp(t + offset_s, t[valid], channel[valid]) for channel in readings.T
+            np.interp(t + late, t[valid], channel[valid]) for channel in readings.T
         ]
         return np.column_stack(moved)
 
-    values = on_encoders_clock(values, calibration.time_offset_s)
+    channels = values if gyro is None else np.hstack([values, gyro])
+    late = _clock(robot, imu, calibration, channels, log, motion).at(t + log.offset)
+    values = on_encoders_clock(values, late)
     if gyro is not None:
-        gyro = on_encoders_clock(
-            gyro, calibration.time_offset_s + calibration.gyro_delay_s
-        )
+        gyro = on_encoders_clock(gyro, late + calibration.gyro_delay_s)
 
     rotation = np.array(calibration.rotation)
     dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ rotation.T
@@ -280,6 +283,43 @@ def _link_reading(
         dw=dw,
         noise=float(np.hypot(noise, axis_error * size)),
         turning=turning,
+    )
+
+
+def _clock(
+    robot: Robot,
+    imu: Imu,
+    calibration: ImuCalibration,
+    channels: Array,
+    log: Recording,
+    motion: Motion,
+    *,
+    sure_s: float = 0.002,
+) -> Clock:
+    """Return an IMU's clock in a log; it is searched where the calibration is unsure.
+
+    `channels` (N, L) are its readings. A clock that the calibration knows to `sure_s`
+    throughout the log, or not at all, is as the calibration has it.
+    """
+    expected = Clock(calibration.time_offset_s, calibration.time_rate)
+    offset_error_s = calibration.time_offset_std_error_s or 0.0
+    rate_error = calibration.time_rate_std_error or 0.0
+    t = motion.t + log.offset
+    if offset_error_s + rate_error * float(t[-1]) < sure_s:
+        return expected
+    size = np.maximum(np.nanstd(channels, axis=0), 1e-9)
+    readings = motion.lowpass(channels / size, motion.valid)
+    states = np.stack([motion.q.T, motion.dq.T, motion.ddq.T])
+    x = motion.filtered(link_state(robot, imu.after_joint, states))
+    usable = motion.usable
+    return clock_of_log(
+        t[usable],
+        np.column_stack([x, np.ones(len(x))])[usable],
+        t,
+        readings,
+        usable,
+        expected,
+        (offset_error_s, rate_error),
     )
 
 

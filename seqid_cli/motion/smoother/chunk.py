@@ -236,7 +236,8 @@ class Mounted:
     """An IMU in one stretch: its readings as they came, as the knots gather them.
 
     Its g constants are the channels' biases (L), the place on the link (3) m, a small
-    turn (3) rad, the clock's offset (1) s and the channels' axes (3 L).
+    turn (3) rad, the clock's offset (1) s and rate (1) s/s, and the channels' axes
+    (3 L).
 
     Attributes
     ----------
@@ -248,16 +249,19 @@ class Mounted:
         (L,) of single readings.
     bias : Array
         (L,).
-    delay : float
-        A reading stamped t was taken at t - `delay` s on the encoders' clock.
+    delay, rate : float
+        What happens t s of the encoders' clock after the log began has the stamp t +
+        `delay` + `rate` (t - `middle_s`).
+    middle_s : float
+        Middle of the stretch, s since the log began.
     away : Array
         (g,), from where the prior had the constants.
     precision : Array
         (g, g) of the prior.
     y, seen : Array, Mask
         (M, L), readings averaged over knot intervals, and which of them count.
-    fraction : float
-        Of a sample, by which the gathered readings came later.
+    fraction : Array
+        (M,), of a sample, by which the gathered readings of an interval came later.
     every : int
         Samples that were averaged.
     gyro_delay : float
@@ -271,11 +275,13 @@ class Mounted:
     noise: Array
     bias: Array
     delay: float
+    rate: float
+    middle_s: float
     away: Array
     precision: Array
     y: Array
     seen: Mask
-    fraction: float = 0.0
+    fraction: Array
     every: int = 1
     gyro_delay: float = 0.0
 
@@ -347,13 +353,22 @@ class Chunk:
         """Weights (every, 3, 4) of the coefficients at an interval's samples."""
         return spline_weights(np.arange(self.every) / self.every, self.spacing)
 
-    def mean_knots(self, fraction: float) -> Array:
-        """Return the weights (3, 4) of an interval's mean motion.
+    def mean_knots(self, fraction: Array) -> Array:
+        """Return the weights (S, 3, 4) of the mean motion of intervals.
 
-        It is averaged over the samples, `fraction` of a sample later.
+        It is averaged over the samples, `fraction` (S,) of a sample later.
         """
-        u = (np.arange(self.every) + fraction) / self.every
-        return np.asarray(spline_weights(u, self.spacing).mean(axis=0))
+        u = (np.arange(self.every) + fraction[:, None]) / self.every
+        weights = spline_weights(u.ravel(), self.spacing)
+        weights = weights.reshape(len(fraction), self.every, 3, 4)
+        return np.asarray(weights.mean(axis=1))
+
+    @property
+    def from_middle(self) -> Array:
+        """Time (M,) s of each interval's begin after the middle of the stretch."""
+        middle = 0.5 * self.samples * self.dt
+        begins = self.spacing * np.arange(self.intervals, dtype=np.float64)
+        return np.asarray(begins - middle)
 
     @property
     def cell(self) -> int:
@@ -375,21 +390,27 @@ class Chunk:
 
     def _gathered(self, x: Mounted) -> Mounted:
         """Return an IMU with its readings in the intervals in which they were taken."""
-        shift = int(np.ceil(x.delay / self.dt - 1e-9))
-        at = np.arange(len(x.raw)) * self.stride - shift
-        inside = (at >= 0) & (at < self.samples)
+        # A cell shares its Jacobians, so that all its readings are as many places late.
+        middle = 0.5 * self.samples
+        place = np.arange(self.intervals * self.every)
+        cell = self.cell * self.every
+        amid_cell = (place // cell + 0.5) * cell - middle
+        late = x.delay / self.dt + x.rate * amid_cell
+        stamp = place + np.ceil(late - 1e-9).astype(np.intp)
 
-        channels = x.raw.shape[1]
-        shape = (self.intervals * self.every, channels)
-        y = np.zeros(shape)
-        seen = np.zeros(shape, dtype=bool)
-        y[at[inside]] = x.raw[inside]
-        seen[at[inside]] = x.live[inside]
+        number, between = np.divmod(stamp, self.stride)
+        inside = (number >= 0) & (number < len(x.raw)) & (between == 0)
+        inside &= place < self.samples
+        number = np.clip(number, 0, len(x.raw) - 1)
+        y = np.where(inside[:, None], x.raw[number], 0.0)
+        seen: Mask = inside[:, None] & x.live[number]
+        instant = (stamp - middle - x.delay / self.dt) / (1.0 + x.rate) + middle
+        fraction = instant - place
         if self.every > 1:
+            channels = x.raw.shape[1]
             y = y.reshape(-1, self.every, channels).mean(axis=1)
             seen = np.asarray(seen.reshape(-1, self.every, channels).all(axis=1))
-
-        fraction = shift - x.delay / self.dt
+            fraction = fraction.reshape(-1, self.every).mean(axis=1)
         return replace(x, y=y, seen=seen, fraction=fraction, every=self.every)
 
 
@@ -407,7 +428,10 @@ def sampled(c: Array, weights: Array) -> Array:
 
 
 def mean_motion(
-    chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None
+    chunk: Chunk,
+    c: Array,
+    fraction: Array | None = None,
+    at: Index | None = None,
 ) -> Array:
     """Return q, dq, ddq averaged over the samples of intervals.
 
@@ -416,8 +440,8 @@ def mean_motion(
     chunk : Chunk
     c : Array
         (K, n).
-    fraction : float
-        Of a sample, by which the motion is taken later.
+    fraction : Array, optional
+        (M,), of a sample, by which the motion is taken later.
     at : Index, optional
         Intervals that are asked for; all M by default.
 
@@ -427,10 +451,13 @@ def mean_motion(
         (3, n, M).
     """
     near = sliding_window_view(c, 4, axis=0)
+    if fraction is None:
+        fraction = np.zeros(len(near))
     if at is not None:
         near = near[at]
-    motion = np.tensordot(chunk.mean_knots(fraction), near, (1, 2))
-    return np.ascontiguousarray(motion.transpose(0, 2, 1))
+        fraction = fraction[at]
+    motion = chunk.mean_knots(fraction) @ near.transpose(0, 2, 1)
+    return np.ascontiguousarray(motion.transpose(1, 2, 0))
 
 
 def jerk_of(c: Array, spacing: float) -> Array:

@@ -23,6 +23,7 @@ from seqid_cli.typing import Array, Index, Mask
 BIAS_DRIFT = 0.05  # m/s^2
 GYRO_BIAS_DRIFT = 0.005  # rad/s
 DELAY_DRIFT_S = 0.001
+RATE_DRIFT = 1e-5  # s/s
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 
@@ -63,9 +64,10 @@ def _mounted(imu: Imu, calibration: ImuCalibration, recording: Recording) -> Mou
         axes = np.vstack([axes, calibration.gyro_axes or np.eye(3)])
 
     prior = _prior(calibration, count, rates)
+    away = np.zeros(len(prior))
     has_offset = calibration.time_offset_std_error_s is not None
     nothing = np.zeros((0, count + rates))
-    return Mounted(
+    log_begins = Mounted(
         name=imu.name,
         place=Mounting(
             link=imu.after_joint,
@@ -79,12 +81,16 @@ def _mounted(imu: Imu, calibration: ImuCalibration, recording: Recording) -> Mou
         noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
         delay=calibration.time_offset_s if has_offset else 0.0,
+        rate=calibration.time_rate,
+        middle_s=0.0,
         gyro_delay=calibration.gyro_delay_s if rates else 0.0,
-        away=np.zeros(len(prior)),
+        away=away,
         precision=np.diag(prior**-2.0),
         y=nothing,
         seen=nothing > 0,
+        fraction=nothing[:, 0],
     )
+    return with_middle(log_begins, 0.5 * float(recording.t[-1]) + recording.offset)
 
 
 def _prior(
@@ -93,6 +99,7 @@ def _prior(
     rates: int,
     *,
     delay_s: float = 0.02,
+    rate: float = 1e-3,
     lever_drift: float = 0.0002,
     gain_drift: float = 0.001,
     turn_deg: tuple[float, float] = (0.03, 10.0),
@@ -138,13 +145,40 @@ def _prior(
     late = delay_s
     if calibration.time_offset_std_error_s is not None:
         late = float(np.hypot(calibration.time_offset_std_error_s, DELAY_DRIFT_S))
+    gains_on = rate
+    if calibration.time_rate_std_error is not None:
+        gains_on = float(np.hypot(calibration.time_rate_std_error, RATE_DRIFT))
     largest_turn = np.max(calibration.std_errors_deg or [calibration.std_error_deg])
     turn = np.full(3, np.radians(np.clip(largest_turn, *turn_deg)))
-    return np.concatenate([bias, gyro_bias, lever, turn, [late], np.repeat(axes, 3)])
+    return np.concatenate(
+        [bias, gyro_bias, lever, turn, [late, gains_on], np.repeat(axes, 3)]
+    )
+
+
+def with_middle(x: Mounted, middle_s: float) -> Mounted:
+    """Return an IMU with its clock as it is about another instant of the log."""
+    # The offset there is a sum of two constants: offset + rate (middle - earlier one).
+    clock = x.place.channels + 6
+    later_s = middle_s - x.middle_s
+    back = np.eye(len(x.away))
+    back[clock, clock + 1] = -later_s
+    away = x.away.copy()
+    away[clock] += later_s * away[clock + 1]
+    return replace(
+        x,
+        middle_s=middle_s,
+        delay=x.delay + later_s * x.rate,
+        away=away,
+        precision=back.T @ x.precision @ back,
+    )
 
 
 def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     """Return an IMU with its readings of the samples `own` of a log."""
+    n_samples = own.indices(len(recording.t))
+    first_s = float(recording.t[n_samples[0]]) + recording.offset
+    length_s = (n_samples[1] - n_samples[0]) / recording.rate_hz
+    x = with_middle(x, first_s + 0.5 * length_s)
     channels = [recording.accelerometers[x.name][own]]
     has_gyro = x.place.channels > len(x.place.positions)
     if has_gyro:
@@ -249,8 +283,8 @@ def clipped(
 def moved(x: Mounted, change: Array) -> Mounted:
     """Return an IMU whose constants have changed by `change` (g,)."""
     channels = x.place.channels
-    parts = np.split(change, channels + np.array([0, 3, 6, 7]))
-    bias, lever, turn, delay, axes = parts
+    parts = np.split(change, channels + np.array([0, 3, 6, 7, 8]))
+    bias, lever, turn, delay, rate, axes = parts
     rotation = Rotation.from_rotvec(turn)
     place = replace(
         x.place,
@@ -268,6 +302,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
         place=place,
         bias=x.bias + bias,
         delay=x.delay + float(delay[0]),
+        rate=x.rate + float(rate[0]),
         away=away,
     )
 
@@ -298,6 +333,7 @@ def handed_on(
     drift[:n_accelerometers] = BIAS_DRIFT
     drift[n_accelerometers:channels] = GYRO_BIAS_DRIFT
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
+    drift[channels + 7] = RATE_DRIFT
 
     precision = np.linalg.inv(forget * variances + np.diag(0.1 * drift**2))
     symmetric = 0.5 * (precision + precision.T)

@@ -137,9 +137,9 @@ def _residual(x: Mounted, state: Array, values: Array) -> Array:
 
 def _on_encoders_clock(x: Mounted, t: Array) -> _Readings:
     """Return an IMU's readings as they were at the encoders' samples (N,) s."""
-    if not x.delay:
+    if not (x.delay or x.rate):
         return _Readings(x.raw, x.live)
-    later = t + x.delay
+    later = t + x.delay + x.rate * (t - 0.5 * t[-1])
     values = [np.interp(later, t, channel) for channel in x.raw.T]
     live = [np.interp(later, t, counts.astype(float)) > 0.999 for counts in x.live.T]
     return _Readings(np.column_stack(values), np.column_stack(live))

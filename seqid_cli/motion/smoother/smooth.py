@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
+from seqid_cli.motion.imu.clock import WINDOW_S, ClockScan, Sums, search
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.smoother import chunk as splines
 from seqid_cli.motion.smoother import solve
@@ -167,7 +168,8 @@ def located(
     """
     clock = x.place.channels + 6
     std_error = np.diag(x.precision) ** -0.5
-    is_clock_sure = std_error[clock] < sure_s
+    at_ends = _clock_std(x) @ [1.0, 0.5 * chunk.samples * chunk.dt]
+    is_clock_sure = at_ends < sure_s
     is_lever_sure = std_error[clock - 6 : clock - 3].max() < sure_m
     if not x.seen.any() or (is_clock_sure and is_lever_sure):
         return x
@@ -175,7 +177,7 @@ def located(
         x = _searched(chunk, c, x)
 
     # One step of least squares without the clock, one with it.
-    for count in (clock, clock + 1):
+    for count in (clock, clock + 2):
         design = _design(chunk, c, x, count)
         pull = np.tensordot(design.residual / design.noise, design.G, 2)
         right = pull - (x.precision @ x.away)[:count]
@@ -183,6 +185,13 @@ def located(
         change[:count] = np.linalg.solve(design.information, right)
         x = _placed(chunk, x, change)
     return x
+
+
+def _clock_std(x: Mounted) -> Array:
+    """Return the standard deviations (2,) of the clock's offset and rate."""
+    of_clock = slice(x.place.channels + 6, x.place.channels + 8)
+    covariance = np.linalg.inv(x.precision[of_clock, of_clock])
+    return np.asarray(np.sqrt(np.diag(covariance)))
 
 
 def _placed(chunk: Chunk, x: Mounted, change: Array) -> Mounted:
@@ -196,35 +205,79 @@ def _searched(
     x: Mounted,
     *,
     search_s: float = 0.06,
+    std_errors: float = 3.0,
+    most_lags: int = 60,
     independent_s: float = 0.05,
 ) -> Mounted:
-    """Search the clock offset, of a grid of knots, that leaves least of the readings.
+    """Search the clock that leaves least of the readings, within the prior's reach.
 
-    All else is fitted to each offset. The encoders' motion errs over long stretches:
-    residuals are independent after `independent_s` only.
+    All else is fitted to each clock: `search_s` and `std_errors` of its prior either
+    way, on a grid of knots of `most_lags` either way. The encoders' motion errs over
+    long stretches: residuals are independent after `independent_s` only.
     """
-    h = chunk.spacing
     clock = x.place.channels + 6
-    expected = predicted(chunk, c, x)
-    design = _design(chunk, c, x, clock)
+    of_clock = slice(clock, clock + 2)
+    reach = std_errors * _clock_std(x)
+    reach_s = max(search_s, float(reach[0]))
+    knots = int(np.ceil(reach_s / chunk.spacing / most_lags))
+    spacing_s = knots * chunk.spacing
+    lags = np.arange(-int(reach_s / spacing_s), int(reach_s / spacing_s) + 1)
+    rate_step = 2.0 * spacing_s / (chunk.samples * chunk.dt)
+    n_rates = int(reach[1] / rate_step)
+    rates = np.arange(-n_rates, n_rates + 1, dtype=np.float64) * rate_step
 
-    lags = range(-int(search_s / h), int(search_s / h) + 1)
-    squares = np.empty(len(lags))
-    for i, lag in enumerate(lags):
+    design = _design(chunk, c, x, clock)
+    scan = _scan(chunk, c, x, design, lags * knots)
+    n_independent = chunk.samples * chunk.dt / independent_s
+    precision = x.precision[:clock, :clock]
+    of_prior = x.precision[of_clock, of_clock]
+
+    def cost(sums: Sums, rate: float) -> Array:
+        """Return minus the logarithm of likelihood and prior (S,)."""
+        pull = sums.xy[..., 0]
+        explained = np.linalg.solve(sums.xx + precision, sums.xy)[..., 0]
+        squares = sums.yy[..., 0] - np.sum(pull * explained, axis=1)
+        away = np.column_stack([scan.shifts, np.full(len(lags), rate)])
+        away = away + x.away[of_clock]
+        prior = 0.5 * np.sum((away @ of_prior) * away, axis=1)
+        likelihood = 0.5 * n_independent * np.log(np.maximum(squares, 1e-12))
+        return np.asarray(likelihood + prior)
+
+    likeliest = search([scan], rates, cost).clock
+    change = np.zeros(len(x.away))
+    change[of_clock] = likeliest.offset_s, likeliest.rate
+    return _placed(chunk, x, change)
+
+
+def _scan(
+    chunk: Chunk, c: Array, x: Mounted, design: "_Design", lags: Index
+) -> ClockScan:
+    """Sum residuals and slopes of windows of cells, for readings `lags` knots later."""
+    times = chunk.from_middle[chunk.cells]
+    number = np.floor((times - times[0]) / WINDOW_S)
+    edges = np.flatnonzero(np.diff(number, prepend=-1.0))
+    expected = predicted(chunk, c, x)
+    of_cells = np.einsum("clp,clq->cpq", design.G, design.G)
+    xx = np.add.reduceat(of_cells, edges)
+
+    xy = []
+    yy = []
+    for lag in lags.tolist():
         seen = _later(np.asarray(x.seen, dtype=np.float64), lag) > 0
         shifted = replace(x, y=_later(x.y, lag), seen=seen)
         residual = _cell_means(chunk, shifted, shifted.y - expected) / design.noise
-        pull = np.tensordot(residual, design.G, 2)
-        explained = pull @ np.linalg.solve(design.information, pull)
-        squares[i] = np.sum(residual**2) - explained
-
-    # Minus the logarithm of likelihood and prior.
-    n_independent = chunk.samples * chunk.dt / independent_s
-    cost = 0.5 * n_independent * np.log(np.maximum(squares, 1e-12))
-    away = np.array(lags) * h + x.away[clock]
-    prior = 0.5 * x.precision[clock, clock] * away**2
-    lag = lags[int(np.argmin(cost + prior))]
-    return _placed(chunk, x, lag * h * np.eye(len(x.away))[clock])
+        pull = np.einsum("cl,clp->cp", residual, design.G)
+        xy.append(np.add.reduceat(pull, edges)[:, :, None])
+        yy.append(np.add.reduceat(np.sum(residual**2, axis=1), edges)[:, None])
+    return ClockScan(
+        times=np.add.reduceat(times, edges) / np.diff(np.append(edges, len(times))),
+        shifts=lags.astype(np.float64) * chunk.spacing,
+        windows=Sums(
+            xx=np.repeat(xx[:, None], len(lags), axis=1),
+            xy=np.stack(xy, axis=1),
+            yy=np.stack(yy, axis=1),
+        ),
+    )
 
 
 def _later(values: Array, lag: int) -> Array:
@@ -359,7 +412,7 @@ def _smoothed(chunk: Chunk, jerk_size: Array) -> _SmoothedChunk:
     imus = []
     slots = chosen(shared.chunk, shared.constants)
     for slot, fine in zip(slots, last.chunk.imus, strict=True):
-        x = replace(slot.imu, delay=fine.delay)
+        x = replace(slot.imu, delay=fine.delay, rate=fine.rate)
         imus.append(handed_on(x, slot.taken, covariance[slot.at, slot.at]))
     return _SmoothedChunk(
         motion=splines.motion_at(last.chunk, last.c)[:: last.chunk.stride],

@@ -38,10 +38,12 @@ class Cells(NamedTuple):
     """Jacobians of an IMU in every cell.
 
     `by_motion` (C, L, 3, m) in q, dq, ddq of its joints, `by_constants` (C, L, g).
+    `amid` (C,) are the intervals about which they are taken.
     """
 
     by_motion: Array
     by_constants: Array
+    amid: Index
 
 
 Linear = tuple[Cells, ...]  # of all IMUs
@@ -148,7 +150,11 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
 
     by_axis, by_lever, by_turn = x.place.by_place(state)
     rate = _rate(chunk, of_head, x.fraction)
-    by_delay = -np.einsum("nkdm,dmn->nk", by_motion, rate)
+    # A stamp is that of the instant t = (stamp - delay) / (1 + rate) from the middle.
+    by_delay = -np.einsum("nkdm,dmn->nk", by_motion, rate) / (1.0 + x.rate)
+    amid_samples = x.fraction[amid] + 0.5 * (chunk.every - 1)
+    t = chunk.from_middle[amid] + amid_samples * chunk.dt
+    by_rate = by_delay * t[:, None]
 
     # A channel's reading depends on its own axis and bias alone.
     channels = np.eye(x.place.channels)
@@ -160,12 +166,13 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
         by_lever,
         by_turn @ x.place.R,
         by_delay[:, :, None],
+        by_rate[:, :, None],
         by_axes.reshape(*by_delay.shape, -1),
     ]
-    return Cells(by_motion, np.concatenate(parts, axis=2))
+    return Cells(by_motion, np.concatenate(parts, axis=2), amid)
 
 
-def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
+def _rate(chunk: Chunk, c: Array, fraction: Array) -> Array:
     """Compute the time derivatives (3, n, C) of q, dq, ddq in every cell.
 
     They are those of the spline where a cell is one interval. Of a longer cell they are
@@ -283,7 +290,8 @@ def _of_imu(chunk: Chunk, slot: Slot, cells: Cells, expected: Array) -> _OfImu:
     channels = len(x.noise)
 
     # W: whitened slopes by the four coefficients of an interval, then by constants.
-    by_coefficients = chunk.mean_knots(x.fraction).T @ cells.by_motion
+    weights = chunk.mean_knots(x.fraction[cells.amid]).transpose(0, 2, 1)
+    by_coefficients = weights[:, None] @ cells.by_motion
     W = np.zeros((count, channels, 4, n))
     W[..., : x.joints] = by_coefficients / x.spread[:, None, None]
     G = cells.by_constants[:, :, slot.taken] / x.spread[:, None]
@@ -370,8 +378,8 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[Slot]:
         first = clock if constants == "clock" else 0
         stops = {
             "none": 0,
-            "clock": clock + 1,
-            "place": clock + 1,
+            "clock": clock + 2,
+            "place": clock + 2,
             "all": len(x.away),
         }
         taken = np.arange(first, stops[constants])

@@ -62,6 +62,8 @@ def _group(place: int, name: str, stage: ImuStage) -> Group:
         facts.append(("noise", f"{number(entry.noise_density)} rad/s\u00b2/\u221aHz"))
     if entry.time_offset_s:
         facts.append(("clock offset", f"{number(1e3 * entry.time_offset_s)} ms"))
+    if entry.time_rate:
+        facts.append(("clock drift", f"{number(1e3 * entry.time_rate)} ms/s"))
 
     # Older files have one error for all axes.
     std_errors_deg = entry.std_errors_deg

@@ -155,6 +155,8 @@ FAULTS = (
     Fault("IMU empty", "imu_missing_values", "imu_b", p.constant("imu_b.a1", np.nan)),
     Fault("IMU in g", "imu_in_g", "imu_a", p.times(1.0 / 9.80665, "imu_a*")),
     Fault("IMU late", "imu_delay", "imu_a", p.delayed("imu_a*", 4)),
+    Fault("IMU's clock fast", "imu_clock_drift", "imu_a",
+          p.drifting("imu_a*", 3e-3)),
     Fault("IMUs exchanged", "imu_wrong_link", "imu_a",
           p.swapped(*((f"imu_a.a{k}", f"imu_b.a{k}") for k in range(1, 13)))),
     Fault("IMU channel flipped in motion", "imu_channel_flipped", "imu_a",

@@ -81,6 +81,17 @@ def delayed(pattern: str, samples: int) -> Plant:
     return changed(pattern, lambda x: np.roll(x, samples))
 
 
+def drifting(pattern: str, rate: float) -> Plant:
+    """Readings of a clock that gains `rate`, and is right in the middle of the log."""
+
+    def change(x: Array) -> Array:
+        row = np.arange(len(x))
+        middle = 0.5 * len(x)
+        return np.asarray(np.interp(middle + (row - middle) / (1.0 + rate), row, x))
+
+    return changed(pattern, change)
+
+
 def jump(pattern: str, size: float) -> Plant:
     return changed(pattern, lambda x: x + size * (np.arange(len(x)) >= len(x) // 2))
 

@@ -119,7 +119,7 @@ def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
     assert (off < 0.6 * alone).all()
     assert (off < 1.5 * improved.velocity_error).all()
     blind = _link_reading(
-        imus[0], scene.stage.imus["imu_a"], scene.recording, by_encoders
+        scene.robot, imus[0], scene.stage.imus["imu_a"], scene.recording, by_encoders
     )
     assert blind.turning is None
 
@@ -159,3 +159,31 @@ def test_what_calibration_found_is_taken_off(scene: Case) -> None:
     )
     np.testing.assert_allclose(error(scene, mended), error(scene, plain), rtol=0.02)
     assert mended.imus == plain.imus
+
+
+def test_a_clock_that_begins_otherwise_in_each_log_is_found_in_this_one(
+    scene: Case,
+) -> None:
+    """It is 50 ms later than expected and gains 4 ms/s."""
+    late = 0.05
+    rate = 4e-3
+    t = scene.recording.t
+    readings = {}
+    calibrations = {}
+    for name, values in scene.recording.accelerometers.items():
+        felt = (t - late) / (1.0 + rate)
+        columns = [np.interp(felt, t, channel) for channel in values.T]
+        readings[name] = np.column_stack(columns)
+        calibrations[name] = msgspec.structs.replace(
+            scene.stage.imus[name],
+            time_offset_s=0.0,
+            time_offset_std_error_s=0.03,
+            time_rate=3.8e-3,
+            time_rate_std_error=2e-4,
+        )
+    recording = replace(scene.recording, accelerometers=readings)
+    plain = by_imus(scene)
+    drifting = replace(scene, recording=recording, stage=ImuStage(imus=calibrations))
+    mended = by_imus(drifting)
+    assert mended.imus == plain.imus
+    assert (error(scene, mended) < 1.5 * error(scene, plain)).all()

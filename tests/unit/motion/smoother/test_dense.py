@@ -146,7 +146,7 @@ class Dense:
         return np.stack([spline(t, nu=order) for order in range(3)])
 
     def __call__(self, unknown: Array) -> Array:
-        head, *constants = np.split(unknown, [-38, -19])
+        head, *constants = np.split(unknown, [-40, -20])
         c = head.reshape(-1, 2)
         parts = [*self.jerks(c), *self.encoders(c)]
         for x, constants_of_imu in zip(self.chunk.imus, constants, strict=True):
@@ -191,15 +191,18 @@ class Dense:
 
     def imu(self, x: Mounted, c: Array, constants_of_imu: Array) -> list[Array]:
         """Readings at their own times, and the prior of the constants."""
-        bias, lever, turn, late = np.split(constants_of_imu, [12, 15, 18])
-        taken = self.t - x.delay
+        bias, lever, turn, late, gained = np.split(constants_of_imu, [12, 15, 18, 19])
+        middle = 0.5 * SAMPLES * DT
+        from_middle = self.t - middle
+        taken = middle + (from_middle - x.delay) / (1.0 + x.rate)
         used = (taken >= 0) & (taken < SAMPLES * DT)
-        motion = self.splines(c, taken[used] - late[0])
+        moved = (from_middle - x.delay - late[0]) / (1.0 + x.rate + gained[0])
+        motion = self.splines(c, middle + moved[used])
         place = replace(x.place, lever=x.place.lever + lever)
         expected = readings(self.chunk.robot, place, motion, turn) + x.bias + bias
-        prior = np.sqrt(np.diag(x.precision)[: len(constants_of_imu)]) * (
-            constants_of_imu + x.away[: len(constants_of_imu)]
-        )
+        count = len(constants_of_imu)
+        root = np.linalg.cholesky(x.precision[:count, :count]).T
+        prior = root @ (constants_of_imu + x.away[:count])
         return [(x.raw[used] - expected) / x.noise, prior]
 
 
@@ -216,7 +219,7 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
     solution = smoothed(step)
     count = solution.c.size
     dense = Dense(solution, step)
-    unknown = np.concatenate([solution.c.ravel(), np.zeros(2 * 19)])
+    unknown = np.concatenate([solution.c.ravel(), np.zeros(2 * 20)])
     J = jacobian(dense, unknown)
     scale = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / scale)

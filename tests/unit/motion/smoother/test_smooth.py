@@ -113,6 +113,18 @@ def test_a_late_clock_is_found(joints: int, late: float) -> None:
     assert (error(off) < 0.1 * alone(right)).all()
 
 
+def test_a_clock_that_drifts_is_found() -> None:
+    """Stamps 80 ms late gain 13 ms within the log: no offset alone explains them."""
+    right = Rig(2, COARSE)
+    off = replace(right, fault=Fault(delay_s=0.04, rate=3.3e-3))
+    for name, mounted in smoothed(off).mounted.items():
+        begins_late = mounted.delay - mounted.rate * mounted.middle_s
+        assert abs(mounted.rate - 3.3e-3) < 1e-4, name
+        assert abs(begins_late - 0.04) < 3e-4, name
+    assert (error(off) < 2.0 * error(right)).all()
+    assert (error(off) < 0.1 * alone(right)).all()
+
+
 def test_a_calibration_of_the_channels_is_used() -> None:
     """A second of data is enough with everything known; unknown gains need more."""
     rig = Rig(1, COARSE)

@@ -9,7 +9,7 @@ from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.discover.verdict import is_drowned, predicted_worse
-from seqid_cli.identify.imu_calibration.calibrate import deflecting
+from seqid_cli.identify.imu_calibration import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE

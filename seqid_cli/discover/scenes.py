@@ -13,11 +13,11 @@ from seqid_cli.effects.link_readings import link_readings
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.imu.link_acceleration import log_motion
 from seqid_cli.inspect.dynamics.echo import REMEDY, WARNING, echoes
 from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.logs.recording import Recording, by_log, torque_of
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -15,9 +15,9 @@ from seqid_cli.effects.effect import acts_in_log
 from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.effects.measurement import MeasurementEffect
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
+from seqid_cli.imu.link_acceleration import log_motion
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.torque import Predicted, TorqueModel
-from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectSession, Stages

@@ -31,14 +31,14 @@ from seqid_cli.identify.rigid.cutoff_choice import (
 from seqid_cli.identify.settings import CutoffSettings
 from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.long import LongLog, open_if_long
+from seqid_cli.imu.link_acceleration import best_motion
+from seqid_cli.imu.smoother.fused import score_of_smoothed
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.filters import bandwidth
-from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother.fused import score_of_smoothed
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array

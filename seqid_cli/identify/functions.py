@@ -155,9 +155,9 @@ def imu_calib(
             where=str(inputs.robot.source),
             hint="Add an [[imu]] table with its accelerometers.",
         )
-    from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+    from seqid_cli.identify.imu_calibration import calibrate_imus
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.motion.imu.array import layout_statements
+    from seqid_cli.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
     log_set = LogSet.of(inputs, imus=True)

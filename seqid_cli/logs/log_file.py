@@ -12,7 +12,7 @@ A stage is given a log by `inspect.screening.open_screened`, held or passed over
 asks either the same things (`recording.UniformLog`). They are not one class for these
 reasons:
 
-- IMUs take part in the motion through one system over all samples (`motion.smoother`),
+- IMUs take part in the motion through one system over all samples (`imu.smoother`),
   and some effects remember more than a filter does. So such logs are held.
 - Bursts, lost samples, two publishers and stamps that go back are put right by looking
   at all stamps. Logs that have any are read as a whole, whatever their length.

@@ -16,10 +16,10 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import Predictor
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
+from seqid_cli.imu.link_acceleration import log_motion
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.payload.rows import FRICTION_TERMS, PayloadRows
 from seqid_cli.robot.regressor import PER_LINK

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
-from seqid_cli.motion.smoother.smooth import smoothed_motion
+from seqid_cli.imu.smoother.smooth import smoothed_motion
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor

@@ -25,7 +25,7 @@ from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLE_LOGS, SAMPLES, Reader, Rig
 from tests.plants.robotfile import robot_toml
 from tests.plants.robots.made import friction_joint, made_prediction
-from tests.unit.motion.smoother.rigs import scene
+from tests.unit.imu.smoother.rigs import scene
 from tests.unit.params.documents import friction_file, full_file
 from tests.unit.params.generate import json_schema
 

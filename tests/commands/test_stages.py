@@ -70,7 +70,7 @@ def test_stages_build_on_what_was_there(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
     before = rig.params("p.json", gravity_file())
-    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
+    identified("imu_calibration", "calibrate_imus", imu_stage())
     assert rig.run("imu-calib", *COMMON, "-p", before).code == 0
     assert read_parameters(rig.folder / "out.json").stages.gravity is not None
 
@@ -119,7 +119,7 @@ def test_what_the_other_stages_show(
     )
     friction = read_parameters(rig.folder / "f.json").stages.friction
     identified("rigid.gravity", "identify_gravity", GravityResult(empty, friction))
-    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
+    identified("imu_calibration", "calibrate_imus", imu_stage())
     result = InertiaResult(rigid_stage("kg m^2"), friction)
     identified("rigid.inertia", "identify_inertia", result)
     found = (friction_stage(), rigid_stage())

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration import calibrate_imus
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage

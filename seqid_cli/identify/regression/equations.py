@@ -18,11 +18,11 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import LongLog
+from seqid_cli.imu.link_acceleration import log_motion
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import Plan, make_plan
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.survey import Survey, survey_of_positions
-from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, as_asked, decimated, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, MotionUse, Stages

@@ -19,7 +19,7 @@ import numpy as np
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.imu.readings import odd_channel
 from seqid_cli.inspect.material import LogData
-from seqid_cli.motion.imu.clock import (
+from seqid_cli.imu.clock import (
     WINDOW_S,
     Likeliest,
     rates_of,

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seqid_cli.imu.array import layout
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Imu, Robot

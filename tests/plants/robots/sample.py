@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, predict
 from seqid_cli.identify.rigid.gravity import GravityResult, identify_gravity

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from seqid_cli.imu.link_acceleration import best_motion
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages

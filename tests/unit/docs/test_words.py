@@ -42,6 +42,7 @@ ROOMS = (
     *(
         "export",
         "identify",
+        "imu",
         "inspect",
         "model/bodies",
         "motion",

@@ -5,7 +5,7 @@ import pytest
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia

@@ -16,8 +16,7 @@ from seqid_cli.identify import common_cutoff
 from seqid_cli.identify.friction_surface import hunting, stage, summary
 from seqid_cli.identify.friction_surface.checks import friction_verdicts
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
-from seqid_cli.identify.imu_calibration.calibrate import verdict_of
-from seqid_cli.identify.imu_calibration.segments import calibration_cutoff
+from seqid_cli.identify.imu_calibration import verdict_of
 from seqid_cli.identify.prediction.verdicts import joint_verdicts
 from seqid_cli.identify.regression.least_squares import Accumulator, spread_of
 from seqid_cli.identify.regression.noise_level import NoiseLevel
@@ -57,6 +56,7 @@ from seqid_cli.identify.settings import (
     SurfaceSettings,
     TrialSettings,
 )
+from seqid_cli.imu.calibration.segments import calibration_cutoff
 from seqid_cli.model.torque import sliding
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import (

@@ -1,11 +1,10 @@
 """Linear equations of one segment of the IMU calibration, its joint motion eliminated.
 
 About a trajectory c of the moving joints and the constants, the readings, the encoders
-and a loose prior on the jerk are linear. The trajectory is eliminated by the banded
-Cholesky factor of its own normal equations, so encoder noise counts as the error in the
-regressors that it is; what is left per segment is a small dense system in the constants
-and in what belongs to the segment alone: a change of each bias and the offsets of the
-locked joints.
+and a loose prior on the jerk are linear. The trajectory is eliminated (see
+`imu.bordered`), so encoder noise counts as the error in the regressors that it is. What
+is left per segment is a small dense system in the constants and in what belongs to the
+segment alone: a change of each bias and the offsets of the locked joints.
 """
 
 from collections.abc import Callable
@@ -13,8 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from seqid_cli.imu.bordered import eliminated
 from seqid_cli.imu.calibration.segments import Segment
 from seqid_cli.imu.calibration.sensor_model import Constants, design, mounted
 from seqid_cli.imu.sensor import link_slopes, link_state
@@ -327,19 +326,20 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
     rows = G.reshape(-1, G.shape[2])
     S = rows.T @ rows
     g = rows.T @ linear.r.ravel()
-    solved = np.zeros((0, len(g) + 1))
+    back = np.zeros((0, len(g)))
+    free = np.zeros(0)
     if segment.moving:
         across = linear.J.transpose(0, 2, 1)
         pulls = across @ np.concatenate([G, linear.r[:, :, None]], axis=2)
         right = segment.at_samples.T @ pulls.reshape(-1, len(g) + 1)
         right[:, -1] += segment.rows.T @ (segment.information * linear.off)
-        factor = cholesky_banded(
-            segment.band(across @ linear.J), lower=True, check_finite=False
+        bordered = eliminated(
+            segment.band(across @ linear.J), right[:, :-1], S, right[:, -1], g
         )
-        solved = cho_solve_banded((factor, True), right, check_finite=False)
-        both = right[:, :-1].T @ solved
-        S = S - both[:, :-1]
-        g = g - both[:, -1]
+        S = bordered.schur
+        g = bordered.pull
+        back = bordered.back
+        free = bordered.free
 
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
     p = G.shape[2] - len(precision)
@@ -351,8 +351,8 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
     return Reduced(
         linear=linear,
         g=g,
-        back=solved[:, :-1],
-        free=solved[:, -1],
+        back=back,
+        free=free,
         own_free=covariance @ pull,
         follow=follow,
         covariance=covariance,

@@ -1,23 +1,17 @@
 """Gauss-Newton of the motion smoother, the size of the jerk, and covariances.
 
-The information of `system` is factored as
-
-    band = F F',   S = corner - border' band^-1 border,
-
-F being the Cholesky factor of the band and S the Schur complement: the information
-about the constants once the motion follows them. The letters are those of `chunk`; P is
-the number of all constants that take part, B = F^-1 border.
+The equations of `system` are solved as `imu.bordered` has it: F is the factor of the
+band, B = F^-1 border, S the information about the P constants that take part once the
+motion follows them. The other letters are those of `chunk`.
 """
 
-import contextlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cholesky_banded
-from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import uniform_filter1d
 
+from seqid_cli.imu.bordered import eliminated, halved
 from seqid_cli.imu.smoother import system
 from seqid_cli.imu.smoother.chunk import JERK, Chunk, Jerk, jerk_of
 from seqid_cli.imu.smoother.imus import moved
@@ -78,14 +72,6 @@ class Solution:
         return halved(self.factor, moves, transposed=True)
 
 
-def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
-    """Solve with half of a band: return F^-1 `right` (K n, r), or F'^-1 `right`."""
-    if not right.size:  # LAPACK would write into memory that is not its own
-        return right
-    x, _ = dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")
-    return np.asarray(x)
-
-
 def encoder_motion(
     chunk: Chunk, size: Array, *, encoder_rounds: int = 4, first_mean_s: float = 0.05
 ) -> tuple[Array, Jerk]:
@@ -119,24 +105,6 @@ def encoder_motion(
         c = solution.c
         jerk = replace(_probed_jerk(solution, rng), correlation=uncorrelated)
     return c, jerk
-
-
-def _factor(
-    band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1e-10)
-) -> Array:
-    """Return the Cholesky factor of a lower band.
-
-    Where a long hole tells nothing, rounding may make the band indefinite: a share of
-    `stiffness` of its largest entry is then added to the diagonal.
-    """
-    for share in stiffness:
-        stiffened = band.copy()
-        stiffened[0] += share * np.abs(band[0]).max()
-        with contextlib.suppress(np.linalg.LinAlgError):
-            return np.asarray(
-                cholesky_banded(stiffened, lower=True, check_finite=False)
-            )
-    raise np.linalg.LinAlgError("the encoders' information is not positive definite")
 
 
 def settled(
@@ -213,16 +181,17 @@ def renewed(
         Readings (M, L) of each IMU that are expected at `c`.
     """
     equations = normal_equations(chunk, c, jerk, linear, constants, expected)
-    factor = _factor(equations.band)
-    border = halved(factor, equations.border)
-    schur = equations.corner - border.T @ border
-    free = halved(factor, equations.gradient[:, None])[:, 0]
-
-    if len(schur):
+    solved = eliminated(
+        equations.band,
+        equations.border,
+        equations.corner,
+        equations.gradient,
+        equations.constants_gradient,
+    )
+    step = np.zeros(0)
+    if len(solved.schur):
         # The constants first, then the motion that goes with them.
-        right = equations.constants_gradient - border.T @ free
-        step: Array = np.asarray(np.linalg.solve(schur, right), dtype=np.float64)
-        free = free - border @ step
+        step = np.asarray(np.linalg.solve(solved.schur, solved.pull), dtype=np.float64)
         imus = []
         for slot in system.chosen(chunk, constants):
             change = np.zeros(len(slot.imu.away))
@@ -230,14 +199,13 @@ def renewed(
             imus.append(moved(slot.imu, change))
         chunk = replace(chunk, imus=tuple(imus))
 
-    change_of_c = halved(factor, free[:, None], transposed=True).reshape(c.shape)
     return Solution(
         chunk=chunk,
-        c=c + change_of_c,
+        c=c + solved.trajectory(step).reshape(c.shape),
         jerk=jerk,
-        factor=factor,
-        border=border,
-        schur=schur,
+        factor=solved.factor,
+        border=solved.border,
+        schur=solved.schur,
         constants=constants,
     )
 

@@ -15,10 +15,11 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
+from seqid_cli.imu.bordered import halved
 from seqid_cli.imu.sensor import Mounting, link_state
 from seqid_cli.imu.smoother.chunk import CELL_S, Chunk, Jerk, Mounted, encoder_view
 from seqid_cli.imu.smoother.imus import mounted_imus, read
-from seqid_cli.imu.smoother.solve import Solution, encoder_motion, halved, renewed
+from seqid_cli.imu.smoother.solve import Solution, encoder_motion, renewed
 from seqid_cli.imu.smoother.system import linearised
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
@@ -237,7 +238,7 @@ def test_nothing_to_solve_for_is_kept_from_lapack(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """If constants move the motion in no direction, `dtbtrs` would corrupt memory."""
-    monkeypatch.setattr("seqid_cli.imu.smoother.solve.dtbtrs", None)
+    monkeypatch.setattr("seqid_cli.imu.bordered.dtbtrs", None)
     for transposed in (False, True):
         assert halved(
             np.ones((4, 50)), np.zeros((50, 0)), transposed=transposed

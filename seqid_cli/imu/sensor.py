@@ -9,6 +9,7 @@ accelerometers' places,
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -129,6 +130,75 @@ class Mounting:
         by_lever[:, :k] = u[:k] @ H
         by_turn = np.cross(u, by_axis) + np.cross(from_origin, by_lever)
         return by_axis, by_lever, by_turn
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the constants of an IMU with L channels stand in a vector of them.
+
+    They are a turn [rad] and the lever [m] in the link's frame, offset [s] and rate
+    [s/s] of the clock, and the biases (L). What is of the channels' axes comes behind.
+    """
+
+    channels: int
+
+    turn = slice(0, 3)
+    lever = slice(3, 6)
+    delay = 6
+    rate = 7
+    clock = slice(6, 8)
+
+    @property
+    def bias(self) -> slice:
+        """The places of the biases (L,)."""
+        return slice(8, 8 + self.channels)
+
+    @property
+    def head(self) -> int:
+        """The number of these constants."""
+        return 8 + self.channels
+
+
+class ConstantSlopes(NamedTuple):
+    """Derivatives of readings by an IMU's constants.
+
+    `head` (N, L, 8 + L) are in the order of `Places`. Those by the clock alone are
+    `by_offset` and `by_rate` (N, L), those by each channel's own axis in the link's
+    frame `by_axis` (N, L, 3).
+    """
+
+    head: Array
+    by_offset: Array
+    by_rate: Array
+    by_axis: Array
+
+
+def constant_slopes(
+    place: Mounting, x: Array, dy: Array, t: Array, rate: float
+) -> ConstantSlopes:
+    """Compute the derivatives of readings by the constants of an IMU.
+
+    Parameters
+    ----------
+    place : Mounting
+    x : Array
+        Motion (N, 15) of the link.
+    dy : Array
+        Rate (N, L) of the readings [their unit per s].
+    t : Array
+        (N,) s, from the instant at which the clock's offset is meant.
+    rate : float
+        Of the clock [s/s].
+    """
+    by_axis, by_lever, by_turn = place.by_place(x)
+    # What is felt at t has the stamp t + offset + rate t. With a larger offset, a
+    # reading was felt that much earlier.
+    by_offset = -dy / (1.0 + rate)
+    by_rate = by_offset * t[:, None]
+    by_bias = np.broadcast_to(np.eye(place.channels), (*dy.shape, place.channels))
+    parts = [by_turn, by_lever, by_offset[:, :, None], by_rate[:, :, None], by_bias]
+    head = np.concatenate(parts, axis=2)
+    return ConstantSlopes(head, by_offset, by_rate, by_axis)
 
 
 def _head(chain: Chain, count: int) -> Chain:

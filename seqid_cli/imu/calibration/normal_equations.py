@@ -211,7 +211,8 @@ def linearise(
     dy = np.gradient(x @ place.matrix.T, segment.spacing, axis=0)
     bias = np.broadcast_to(np.eye(count), (*r.shape, count))
     offsets = slopes[:, :, 0, list(segment.locked)]
-    by_constants = design(imu, constants, x, dy, segment.elapsed)
+    rate = constants.clock(segment.log).rate
+    by_constants = design(imu, constants, x, dy, segment.elapsed, rate)
     G = np.concatenate([by_constants, bias, offsets], axis=2)
 
     # Tukey's weights, unless these are given.

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.imu.array import layout
 from seqid_cli.imu.clock import Clock
-from seqid_cli.imu.sensor import Mounting
+from seqid_cli.imu.sensor import Mounting, constant_slopes
+from seqid_cli.imu.sensor import Places as SensorPlaces
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array, Index
 
@@ -38,44 +39,34 @@ class Widths:
 
 
 @dataclass(frozen=True)
-class Places:
+class Places(SensorPlaces):
     """Where the constants of an IMU with C channels stand among all p.
 
-    Those that all logs share come first, then two of each log: by how much the offset
-    and the rate of the clock are larger in it.
+    Those of `imu.sensor` come first, each channel's axis by its gain and its tilts, and
+    the gyro's delay. Two of each log follow: by how much the offset and the rate of the
+    clock are larger in it.
     """
-
-    channels: int
-
-    turn = slice(0, 3)
-    lever = slice(3, 6)
-    delay = 6
-    rate = 7
-
-    @property
-    def bias(self) -> slice:
-        """The places of the biases (C,)."""
-        return slice(8, 8 + self.channels)
 
     @property
     def gain(self) -> slice:
         """The places of the gains (C,)."""
-        return slice(8 + self.channels, 8 + 2 * self.channels)
+        return slice(self.head, self.head + self.channels)
 
     @property
     def tilt(self) -> slice:
         """The places of the tilts (2 C,)."""
-        return slice(8 + 2 * self.channels, 8 + 4 * self.channels)
+        first = self.head + self.channels
+        return slice(first, first + 2 * self.channels)
 
     @property
     def gyro_delay(self) -> int:
         """The place of the gyro's delay."""
-        return 8 + 4 * self.channels
+        return self.head + 3 * self.channels
 
     @property
     def shared(self) -> int:
         """The number of constants that all logs share."""
-        return 9 + 4 * self.channels
+        return self.gyro_delay + 1
 
     def of_log(self, k: int) -> Index:
         """Return the places (shared + 2,) of the constants that log k knows."""
@@ -323,7 +314,9 @@ def mounted(imu: Imu, constants: Constants) -> Mounting:
     return Mounting(imu.after_joint, positions, axes, constants.R, constants.lever)
 
 
-def design(imu: Imu, constants: Constants, x: Array, dy: Array, t: Array) -> Array:
+def design(
+    imu: Imu, constants: Constants, x: Array, dy: Array, t: Array, rate: float = 0.0
+) -> Array:
     """Return the derivatives of readings in the constants that one log knows.
 
     Parameters
@@ -338,6 +331,8 @@ def design(imu: Imu, constants: Constants, x: Array, dy: Array, t: Array) -> Arr
         Rate of the readings [their unit per s].
     t : array (N,)
         Seconds since the log began.
+    rate : float
+        Of the log's clock [s/s].
 
     Returns
     -------
@@ -345,30 +340,22 @@ def design(imu: Imu, constants: Constants, x: Array, dy: Array, t: Array) -> Arr
         Derivatives, in the order of `Places.of_log`.
     """
     place = mounted(imu, constants)
-    c = dy.shape[1]
-    seen, pull, turn = place.by_place(x)
+    slopes = constant_slopes(place, x, dy, t, rate)
     across = _tangents(nominal_axes(imu)) @ constants.R.T
     at = constants.places
     G = np.zeros((*dy.shape, at.shared + 2))
     gyros = slice(len(imu.axes), None)
-    G[:, :, at.turn] = turn
-    G[:, :, at.lever] = pull
-    # The reading at t + delay is compared with the prediction at t. The derivative in
-    # the delay is therefore the rate of the reading with its sign turned.
-    by_offset = -dy
-    by_rate = -dy * t[:, None]
-    G[:, :, at.delay] = by_offset
-    G[:, :, at.rate] = by_rate
-    G[:, :, at.shared] = by_offset
-    G[:, :, at.shared + 1] = by_rate
-    G[:, gyros, at.gyro_delay] = by_offset[:, gyros]
+    G[:, :, : at.head] = slopes.head
+    G[:, :, at.shared] = slopes.by_offset
+    G[:, :, at.shared + 1] = slopes.by_rate
+    G[:, gyros, at.gyro_delay] = slopes.by_offset[:, gyros]
 
-    channel = np.arange(c)
-    G[:, channel, at.bias.start + channel] = 1.0
-    by_gain = np.sum(seen * (place.axes @ place.R.T), axis=2)
+    # A channel's reading depends on its own axis alone.
+    channel = np.arange(place.channels)
+    by_gain = np.sum(slopes.by_axis * (place.axes @ place.R.T), axis=2)
     G[:, channel, at.gain.start + channel] = by_gain
     sideways = np.exp(constants.log_gain)[:, None] * np.einsum(
-        "nci,cai->nca", seen, across
+        "nci,cai->nca", slopes.by_axis, across
     )
     for a in range(2):
         G[:, channel, at.tilt.start + 2 * channel + a] = sideways[:, :, a]

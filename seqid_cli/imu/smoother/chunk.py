@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.polynomial import polyder, polyval
 
-from seqid_cli.imu.sensor import Mounting
+from seqid_cli.imu.sensor import Mounting, Places
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
@@ -235,9 +235,8 @@ CELL_S = 0.016  # within which an arm hardly turns
 class Mounted:
     """An IMU in one stretch: its readings as they came, as the knots gather them.
 
-    Its g constants are the channels' biases (L), the place on the link (3) m, a small
-    turn (3) rad, the clock's offset (1) s and rate (1) s/s, and the channels' axes
-    (3 L).
+    Its g constants are those of `imu.sensor.Places`: a small turn, the place on the
+    link, the clock's offset and rate and the biases; then the channels' axes (3 L).
 
     Attributes
     ----------
@@ -284,6 +283,11 @@ class Mounted:
     fraction: Array
     every: int = 1
     gyro_delay: float = 0.0
+
+    @property
+    def places(self) -> Places:
+        """Where each constant stands."""
+        return Places(self.place.channels)
 
     @property
     def joints(self) -> int:

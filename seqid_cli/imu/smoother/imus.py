@@ -151,19 +151,20 @@ def _prior(
     largest_turn = np.max(calibration.std_errors_deg or [calibration.std_error_deg])
     turn = np.full(3, np.radians(np.clip(largest_turn, *turn_deg)))
     return np.concatenate(
-        [bias, gyro_bias, lever, turn, [late, gains_on], np.repeat(axes, 3)]
+        [turn, lever, [late, gains_on], bias, gyro_bias, np.repeat(axes, 3)]
     )
 
 
 def with_middle(x: Mounted, middle_s: float) -> Mounted:
     """Return an IMU with its clock as it is about another instant of the log."""
     # The offset there is a sum of two constants: offset + rate (middle - earlier one).
-    clock = x.place.channels + 6
+    delay = x.places.delay
+    rate = x.places.rate
     later_s = middle_s - x.middle_s
     back = np.eye(len(x.away))
-    back[clock, clock + 1] = -later_s
+    back[delay, rate] = -later_s
     away = x.away.copy()
-    away[clock] += later_s * away[clock + 1]
+    away[delay] += later_s * away[rate]
     return replace(
         x,
         middle_s=middle_s,
@@ -282,27 +283,26 @@ def clipped(
 
 def moved(x: Mounted, change: Array) -> Mounted:
     """Return an IMU whose constants have changed by `change` (g,)."""
-    channels = x.place.channels
-    parts = np.split(change, channels + np.array([0, 3, 6, 7, 8]))
-    bias, lever, turn, delay, rate, axes = parts
-    rotation = Rotation.from_rotvec(turn)
+    places = x.places
+    rotation = Rotation.from_rotvec(change[places.turn])
     place = replace(
         x.place,
-        lever=x.place.lever + lever,
-        R=x.place.R @ rotation.as_matrix(),
-        axes=x.place.axes + axes.reshape(-1, 3),
+        lever=x.place.lever + change[places.lever],
+        R=rotation.as_matrix() @ x.place.R,
+        axes=x.place.axes + change[places.head :].reshape(-1, 3),
     )
 
     # Turns do not add up: they follow one another.
     away = x.away + change
-    turns = slice(channels + 3, channels + 6)
-    away[turns] = (Rotation.from_rotvec(x.away[turns]) * rotation).as_rotvec()
+    away[places.turn] = (
+        rotation * Rotation.from_rotvec(x.away[places.turn])
+    ).as_rotvec()
     return replace(
         x,
         place=place,
-        bias=x.bias + bias,
-        delay=x.delay + float(delay[0]),
-        rate=x.rate + float(rate[0]),
+        bias=x.bias + change[places.bias],
+        delay=x.delay + float(change[places.delay]),
+        rate=x.rate + float(change[places.rate]),
         away=away,
     )
 
@@ -327,13 +327,14 @@ def handed_on(
     variances[:, taken] = 0.0
     variances[np.ix_(taken, taken)] = covariance
 
-    channels = x.place.channels
+    places = x.places
     n_accelerometers = len(x.place.positions)
     drift = np.zeros(len(variances))
-    drift[:n_accelerometers] = BIAS_DRIFT
-    drift[n_accelerometers:channels] = GYRO_BIAS_DRIFT
-    drift[channels + 6] = 0.1 * DELAY_DRIFT_S
-    drift[channels + 7] = RATE_DRIFT
+    bias_drift = drift[places.bias]
+    bias_drift[:n_accelerometers] = BIAS_DRIFT
+    bias_drift[n_accelerometers:] = GYRO_BIAS_DRIFT
+    drift[places.delay] = 0.1 * DELAY_DRIFT_S
+    drift[places.rate] = RATE_DRIFT
 
     precision = np.linalg.inv(forget * variances + np.diag(0.1 * drift**2))
     symmetric = 0.5 * (precision + precision.T)

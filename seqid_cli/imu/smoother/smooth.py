@@ -166,30 +166,37 @@ def located(
     A clock that is known to `sure_s` is not searched; with a lever that is known to
     `sure_m` nothing is fitted.
     """
-    clock = x.place.channels + 6
     std_error = np.diag(x.precision) ** -0.5
     at_ends = _clock_std(x) @ [1.0, 0.5 * chunk.samples * chunk.dt]
     is_clock_sure = at_ends < sure_s
-    is_lever_sure = std_error[clock - 6 : clock - 3].max() < sure_m
+    is_lever_sure = std_error[x.places.lever].max() < sure_m
     if not x.seen.any() or (is_clock_sure and is_lever_sure):
         return x
     if not is_clock_sure:
         x = _searched(chunk, c, x)
 
     # One step of least squares without the clock, one with it.
-    for count in (clock, clock + 2):
-        design = _design(chunk, c, x, count)
+    for taken in (_without_clock(x), np.arange(x.places.head)):
+        design = _design(chunk, c, x, taken)
         pull = np.tensordot(design.residual / design.noise, design.G, 2)
-        right = pull - (x.precision @ x.away)[:count]
+        right = pull - (x.precision @ x.away)[taken]
         change = np.zeros(len(x.away))
-        change[:count] = np.linalg.solve(design.information, right)
+        change[taken] = np.linalg.solve(design.information, right)
         x = _placed(chunk, x, change)
     return x
 
 
+def _without_clock(x: Mounted) -> Index:
+    """Return the numbers of an IMU's constants but for its clock and its axes."""
+    places = x.places
+    return np.concatenate(
+        [np.arange(places.clock.start), np.arange(places.clock.stop, places.head)]
+    )
+
+
 def _clock_std(x: Mounted) -> Array:
     """Return the standard deviations (2,) of the clock's offset and rate."""
-    of_clock = slice(x.place.channels + 6, x.place.channels + 8)
+    of_clock = x.places.clock
     covariance = np.linalg.inv(x.precision[of_clock, of_clock])
     return np.asarray(np.sqrt(np.diag(covariance)))
 
@@ -215,8 +222,8 @@ def _searched(
     way, on a grid of knots of `most_lags` either way. The encoders' motion errs over
     long stretches: residuals are independent after `independent_s` only.
     """
-    clock = x.place.channels + 6
-    of_clock = slice(clock, clock + 2)
+    of_clock = x.places.clock
+    still = _without_clock(x)
     reach = std_errors * _clock_std(x)
     reach_s = max(search_s, float(reach[0]))
     knots = int(np.ceil(reach_s / chunk.spacing / most_lags))
@@ -226,10 +233,10 @@ def _searched(
     n_rates = int(reach[1] / rate_step)
     rates = np.arange(-n_rates, n_rates + 1, dtype=np.float64) * rate_step
 
-    design = _design(chunk, c, x, clock)
+    design = _design(chunk, c, x, still)
     scan = _scan(chunk, c, x, design, lags * knots)
     n_independent = chunk.samples * chunk.dt / independent_s
-    precision = x.precision[:clock, :clock]
+    precision = x.precision[np.ix_(still, still)]
     of_prior = x.precision[of_clock, of_clock]
 
     def cost(sums: Sums, rate: float) -> Array:
@@ -296,7 +303,7 @@ def _cell_means(chunk: Chunk, x: Mounted, residual: Array) -> Array:
 
 
 class _Design(NamedTuple):
-    """A least squares for the first constants of an IMU, p in number.
+    """A least squares for some constants of an IMU, p in number.
 
     `residual` (C, L) and its `noise` (L,), whitened Jacobians `G` (C, L, p), and
     `information` (p, p) with that of the prior.
@@ -308,15 +315,16 @@ class _Design(NamedTuple):
     information: Array
 
 
-def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> _Design:
-    """Set up the least squares for the first `count` constants of an IMU."""
+def _design(chunk: Chunk, c: Array, x: Mounted, taken: Index) -> _Design:
+    """Set up the least squares for the constants `taken` (p,) of an IMU."""
     residual = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(residual))
     by_constants = jacobians(chunk, c, x, gains=False).by_constants
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
-    G = by_constants[:, :, :count] * there[:, :, None] / noise[:, None]
+    G = by_constants[:, :, taken] * there[:, :, None] / noise[:, None]
     of_readings = np.tensordot(G, G, ([0, 1], [0, 1]))
-    return _Design(residual, noise, G, of_readings + x.precision[:count, :count])
+    information = of_readings + x.precision[np.ix_(taken, taken)]
+    return _Design(residual, noise, G, information)
 
 
 # Time between knots at most, of the motion and for the constants.

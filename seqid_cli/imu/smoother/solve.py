@@ -116,9 +116,7 @@ def settled(
     """
     rng = np.random.default_rng(0)
     rounds: list[Constants] = ["place" if coarse.imus else "none"]
-    precisions = [
-        np.diag(x.precision)[x.place.channels + 8 :].min() for x in coarse.imus
-    ]
+    precisions = [np.diag(x.precision)[x.places.head :].min() for x in coarse.imus]
     if precisions and min(precisions) <= known_axes**-2.0:
         rounds.append("all")
 

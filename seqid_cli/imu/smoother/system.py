@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from seqid_cli.imu.sensor import link_slopes, link_state
+from seqid_cli.imu.sensor import constant_slopes, link_slopes, link_state
 from seqid_cli.imu.smoother import chunk as splines
 from seqid_cli.imu.smoother.chunk import (
     Chunk,
@@ -148,27 +148,17 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     slopes = link_slopes(chunk.robot, x.place.link, motion)
     by_motion = x.place.by_motion(state, slopes)
 
-    by_axis, by_lever, by_turn = x.place.by_place(state)
     rate = _rate(chunk, of_head, x.fraction)
-    # A stamp is that of the instant t = (stamp - delay) / (1 + rate) from the middle.
-    by_delay = -np.einsum("nkdm,dmn->nk", by_motion, rate) / (1.0 + x.rate)
+    dy = np.einsum("nkdm,dmn->nk", by_motion, rate)
     amid_samples = x.fraction[amid] + 0.5 * (chunk.every - 1)
     t = chunk.from_middle[amid] + amid_samples * chunk.dt
-    by_rate = by_delay * t[:, None]
+    by_constants = constant_slopes(x.place, state, dy, t, x.rate)
 
-    # A channel's reading depends on its own axis and bias alone.
-    channels = np.eye(x.place.channels)
+    # A channel's reading depends on its own axis alone.
+    by_axis = by_constants.by_axis
     in_imu = by_axis @ x.place.R if gains else by_axis[..., :0]
-    by_axes = np.einsum("kl,nka->nkla", channels, in_imu)
-    by_bias = np.broadcast_to(channels, (len(by_axis), *channels.shape))
-    parts = [
-        by_bias,
-        by_lever,
-        by_turn @ x.place.R,
-        by_delay[:, :, None],
-        by_rate[:, :, None],
-        by_axes.reshape(*by_delay.shape, -1),
-    ]
+    by_axes = np.einsum("kl,nka->nkla", np.eye(x.place.channels), in_imu)
+    parts = [by_constants.head, by_axes.reshape(*dy.shape, -1)]
     return Cells(by_motion, np.concatenate(parts, axis=2), amid)
 
 
@@ -374,15 +364,13 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[Slot]:
     """Yield each IMU with those of its constants that take part."""
     start = 0
     for x in chunk.imus:
-        clock = len(x.noise) + 6
-        first = clock if constants == "clock" else 0
-        stops = {
-            "none": 0,
-            "clock": clock + 2,
-            "place": clock + 2,
-            "all": len(x.away),
-        }
-        taken = np.arange(first, stops[constants])
+        of_all = np.arange(len(x.away))
+        taken = {
+            "none": of_all[:0],
+            "clock": of_all[x.places.clock],
+            "place": of_all[: x.places.head],
+            "all": of_all,
+        }[constants]
         yield Slot(x, taken, slice(start, start + len(taken)))
         start += len(taken)
 

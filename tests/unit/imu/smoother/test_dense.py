@@ -61,8 +61,8 @@ def readings(
     (3,).
     """
     turned = (
-        place.R
-        @ Rotation.from_rotvec(np.zeros(3) if turn is None else turn).as_matrix()
+        Rotation.from_rotvec(np.zeros(3) if turn is None else turn).as_matrix()
+        @ place.R
     )
     state = link_state(robot, place.link, motion.swapaxes(1, 2))
     return np.asarray(state @ replace(place, R=turned).matrix.T)
@@ -192,7 +192,7 @@ class Dense:
 
     def imu(self, x: Mounted, c: Array, constants_of_imu: Array) -> list[Array]:
         """Readings at their own times, and the prior of the constants."""
-        bias, lever, turn, late, gained = np.split(constants_of_imu, [12, 15, 18, 19])
+        turn, lever, late, gained, bias = np.split(constants_of_imu, [3, 6, 7, 8])
         middle = 0.5 * SAMPLES * DT
         from_middle = self.t - middle
         taken = middle + (from_middle - x.delay) / (1.0 + x.rate)

@@ -29,10 +29,10 @@ from seqid_cli.identify.rigid.cutoff_choice import (
     choose_cutoff,
 )
 from seqid_cli.identify.settings import CutoffSettings
-from seqid_cli.logs import long as long_logs
-from seqid_cli.logs.long import LongLog, open_if_long
 from seqid_cli.imu.link_acceleration import best_motion
 from seqid_cli.imu.smoother.fused import score_of_smoothed
+from seqid_cli.logs import long as long_logs
+from seqid_cli.logs.long import LongLog, open_if_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy

@@ -17,8 +17,8 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.long import LongLog
 from seqid_cli.imu.link_acceleration import log_motion
+from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import Plan, make_plan
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH

@@ -4,7 +4,7 @@ Whatever the mounting, an accelerometer on a link reads a linear function of the
 specific force (3), angular acceleration (3) and products of angular velocity (6) in the
 link's frame, a gyro one of the angular velocity (3), at the IMU's own time. Both sides
 go through the same low-pass; the linear function is fitted to each channel for a range
-of clocks (see `motion.imu.clock`).
+of clocks (see `imu.clock`).
 
 The p features of a link's motion are X (N, p), the K readings y (N, K); a shift of s
 samples compares y(t) with X(t - s). `left` is what a fit leaves of the readings.
@@ -16,9 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.inspect.findings import finding_of
-from seqid_cli.inspect.imu.readings import odd_channel
-from seqid_cli.inspect.material import LogData
 from seqid_cli.imu.clock import (
     WINDOW_S,
     Likeliest,
@@ -26,6 +23,9 @@ from seqid_cli.imu.clock import (
     scan_of,
     search,
 )
+from seqid_cli.inspect.findings import finding_of
+from seqid_cli.inspect.imu.readings import odd_channel
+from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.kinematics import link_motion

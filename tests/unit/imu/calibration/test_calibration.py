@@ -25,7 +25,7 @@ from tests.plants.instruments import (
 from tests.plants.motions.experiments import swing
 from tests.plants.motions.trajectories import hold, join
 from tests.plants.robots.lab import recording_of, robot_of
-from tests.plants.robots.sample import Rig
+from tests.plants.robots.sample import sample_rig
 from tests.plants.simulate import simulate
 
 
@@ -132,10 +132,11 @@ def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> Non
         calibrate_imus([], robot_of("one", plant), options=MotionOptions())
 
 
-def test_axes_that_an_imu_does_not_see_are_no_pairs(two_joint: Rig) -> None:
+def test_axes_that_an_imu_does_not_see_are_no_pairs() -> None:
     """One of the arm's logs with an IMU that records noise alone: it says nothing of
     axes.
     """
+    two_joint = sample_rig("two_joint")
     *seen, blind = two_joint.logs("imu")
     still = blind.accelerometers["imu_b"].mean(axis=0)
     noise = 0.1 * np.random.default_rng(0).standard_normal((len(blind.t), len(still)))

@@ -26,8 +26,8 @@ import numpy as np
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.effects.link_readings import LinkReadings
 from seqid_cli.effects.scene import Scene
+from seqid_cli.imu.sensor import constant_slopes, link_slopes, link_state
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.imu.sensor import link_slopes, link_state
 from seqid_cli.robust import rms
 from seqid_cli.typing import Array, Index
 
@@ -255,24 +255,21 @@ def _calibration_errors(imu: LinkReadings, samples: Index, rows: Rows) -> Array:
     place = imu.place
     k = len(place.positions)
     x = link_state(robot, place.link, imu.motion[:, :, samples])
-    by_axis, by_lever, by_turn = place.by_place(x)
+    t = imu.from_middle[samples]
+    rate = imu.rate[samples]
+    by_constants = constant_slopes(place, x, rate, t, 0.0)
 
     # Readings of a gyro are linear in w: their derivatives are those of w'.
     turning = x.copy()
     turning[:, 12:] = imu.turning[samples]
-    for of_all, of_gyro in zip(
-        (by_axis, by_lever, by_turn), place.by_place(turning), strict=True
-    ):
-        of_all[:, k:] = of_gyro[:, k:]
+    of_gyro = constant_slopes(place, turning, rate, t, 0.0)
+    head = by_constants.head.copy()
+    head[:, k:] = of_gyro.head[:, k:]
+    by_axis = by_constants.by_axis.copy()
+    by_axis[:, k:] = of_gyro.by_axis[:, k:]
 
     channels = place.channels
-    bias = np.zeros((len(samples), channels, channels))
-    bias[:, range(k), range(k)] = 1.0
     axes = np.zeros((len(samples), channels, channels, 3))
     axes[:, range(channels), range(channels)] = by_axis
-    late = -imu.rate[samples][:, :, None]
-    errors = np.concatenate(
-        [bias, by_lever, by_turn, late, axes.reshape(len(samples), channels, -1)],
-        axis=2,
-    )
+    errors = np.concatenate([head, axes.reshape(len(samples), channels, -1)], axis=2)
     return np.asarray(errors / imu.noise[:, None])

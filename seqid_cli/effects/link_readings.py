@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.imu.sensor import Mounting, link_state
+from seqid_cli.imu.smoother.chunk import Mounted
+from seqid_cli.imu.smoother.imus import mounted_imus
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.imu.sensor import Mounting, link_state
-from seqid_cli.motion.smoother.chunk import Mounted
-from seqid_cli.motion.smoother.imus import mounted_imus
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -46,8 +46,10 @@ class LinkReadings:
     noise : Array
         (C,), of a low-passed reading.
     precision : Array
-        (g,) of what the calibration leaves open: biases (C), lever (3), turn (3), delay
-        (1), axes (3 C).
+        (g,) of what the calibration leaves open: the constants of `imu.sensor.Places`,
+        then the axes (3 C).
+    from_middle : Array
+        (N,) s, from the instant at which the clock's offset is meant.
     """
 
     place: Mounting
@@ -57,6 +59,7 @@ class LinkReadings:
     turning: Array
     noise: Array
     precision: Array
+    from_middle: Array
 
     def every(self, stride: int) -> "LinkReadings":
         """Return every so many samples."""
@@ -66,6 +69,7 @@ class LinkReadings:
             residual=self.residual[::stride],
             rate=self.rate[::stride],
             turning=self.turning[::stride],
+            from_middle=self.from_middle[::stride],
         )
 
 
@@ -108,17 +112,17 @@ def _compared(
     place = imu.place
     k = len(place.positions)
 
-    # Readings stamped t were taken at t less the offset of the IMU's clock.
+    # What was felt at t has a stamp that is later by the offset of the IMU's clock.
+    from_middle = recording.t + recording.offset - imu.middle_s
+    stamps = recording.t + imu.delay + imu.rate * from_middle
     readings = [recording.accelerometers[imu.name]]
-    late_s = [np.full(k, imu.delay)]
+    late_s = np.zeros(place.channels)
     if place.channels > k:
         readings.append(recording.gyros[imu.name])
-        late_s.append(np.full(place.channels - k, imu.delay + imu.gyro_delay))
+        late_s[k:] = imu.gyro_delay
     on_clock = [
-        np.interp(recording.t + late, recording.t[valid], channel[valid])
-        for channel, late in zip(
-            np.hstack(readings).T, np.concatenate(late_s), strict=True
-        )
+        np.interp(stamps + late, recording.t[valid], channel[valid])
+        for channel, late in zip(np.hstack(readings).T, late_s, strict=True)
     ]
     low = lowpass(np.column_stack(on_clock) - imu.bias, valid)
 
@@ -141,4 +145,5 @@ def _compared(
         turning=turning,
         noise=noise,
         precision=np.diag(imu.precision).copy(),
+        from_middle=from_middle,
     )

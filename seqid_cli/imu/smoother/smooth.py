@@ -74,11 +74,12 @@ def believed(
 class Misfit(NamedTuple):
     """An IMU that fits the motion badly.
 
-    `share` is what it leaves of what the encoders' motion alone leaves, `text` says by
-    how much it differs.
+    `noises` is by how many times its noise it differs, `share` what that is of what it
+    differs from the encoders' motion alone; `text` says both.
     """
 
     name: str
+    noises: float
     share: float
     text: str
 
@@ -119,7 +120,7 @@ def misfits(
             f"it differs from the motion by {size:.3g}, {noises:.1f} times its noise"
             f" and {percent(share, 0)} of what it differs from the encoders'"
         )
-        yield Misfit(x.name, share, text)
+        yield Misfit(x.name, noises, share, text)
 
 
 def contradiction(
@@ -131,8 +132,11 @@ def contradiction(
     # leaves much more.
     if not badly_fitting:
         return "", []
-    worst = max(badly_fitting, key=lambda misfit: misfit.share)
-    if worst.share > unexplained:
+    # The wrong one pulls sound ones with it, which hardly differ from the encoders: not
+    # the share tells it, but the size.
+    wrong = [misfit for misfit in badly_fitting if misfit.share > unexplained]
+    if wrong:
+        worst = max(wrong, key=lambda misfit: misfit.noises)
         limit = percent(unexplained, 0)
         return worst.name, [f"{worst.name} is left out: {worst.text} (limit {limit})"]
     remedy = "check geometry, mounting and gravity"

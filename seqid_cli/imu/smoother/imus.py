@@ -99,7 +99,7 @@ def _prior(
     rates: int,
     *,
     delay_s: float = 0.02,
-    rate: float = 1e-4,
+    rate: float = 1e-3,
     lever_drift: float = 0.0002,
     gain_drift: float = 0.001,
     turn_deg: tuple[float, float] = (0.03, 10.0),

@@ -15,7 +15,8 @@ DRAWS = 20  # of moment and direction, until a push is felt at both of its ends
 EVEN = 0.5  # of a unit force's torque, RMS over the push, what each end has at least
 EDGE_SHARE = 0.15  # of its length: an end
 MOMENTS = 60  # at which a push is looked at
-SLOW = 0.02  # of a joint's limit: slower than that it may stick
+SLOW = 0.05  # of a joint's limit: slower than that it may stick
+MOVING = 0.8  # of the moments of each end, in which some joint moves
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,10 @@ def pushed(
         rows = ((start + since) / STEP_S).astype(int)
         torques = flange_torques(arm, motion[rows], way) / usual
         # What a joint at rest feels its friction holds.
-        torques *= speed[rows] > slow
+        slides = speed[rows] > slow
+        torques *= slides
+        moves = slides.any(axis=1)
+        share_moving = min(moves[:n_end].mean(), moves[-n_end:].mean())
         # Where a force turns no joint nobody can say that it is there.
         felt_of_joint = [
             np.sqrt(np.mean(part**2, axis=0))
@@ -80,6 +84,8 @@ def pushed(
         ]
         at_start, at_end, on_the_whole = (float(felt.max()) for felt in felt_of_joint)
         evenness = min(at_start, at_end) / max(on_the_whole, 1e-12)
+        if share_moving < MOVING:
+            evenness *= 0.1 * share_moving
         if evenness > most_even:
             of_joint = np.sqrt(np.mean((sizes[:, None] * torques) ** 2, axis=0))
             most_even, best = evenness, (start, way, float(of_joint.max()))

@@ -71,5 +71,6 @@ def within_bounds(
             gain = covariance[:, number] / variance[number]
             moved -= gain * beyond[number]
             covariance -= np.outer(gain, covariance[number])
-        moved[number] = np.clip(coefficients[number], low[number], high[number])
+        # exactly there, whatever rounding makes of the step
+        moved[number] = high[number] if beyond[number] > 0.0 else low[number]
     return moved

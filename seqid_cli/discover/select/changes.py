@@ -188,14 +188,54 @@ def _change_at(
     if scale <= MOST_ERRORS and not unsure and not beside_others:
         return None
 
-    # What there is at the place by itself: in place of all, beside a base that holds to
-    # the file.
-    elsewhere = [term for term in model.terms if term not in at_place]
-    bare = held_to_file(model, elsewhere)
+    # In place of all that is there, else beside what is sure: a file may lack friction
+    # over the position and have a wrong offset.
+    in_place_of_all = _change_beside(
+        selection, joint, at_place=at_place, staying=(), unsure=unsure, least=least
+    )
+    sure = [term for term in at_place if term in sure_terms and not term.change]
+    if in_place_of_all is not None or not sure:
+        return in_place_of_all
+    return _change_beside(
+        selection, joint, at_place=at_place, staying=sure, unsure=unsure, least=least
+    )
+
+
+def _change_beside(
+    selection: Selection,
+    joint: int | None,
+    *,
+    at_place: Sequence[Term],
+    staying: Sequence[Term],
+    unsure: Sequence[Term],
+    least: float,
+) -> ValueChange | None:
+    """Return the change of values at a joint that is told beside some of its terms.
+
+    Parameters
+    ----------
+    selection : Selection
+        The finished one.
+    joint : int or None
+        The place; None for the whole arm.
+    at_place : sequence of Term
+        The model's terms there.
+    staying : sequence of Term
+        Those of them beside which the change is tried.
+    unsure : sequence of Term
+        Those that are not told beside it.
+    least : float
+        Probability from which it is told.
+    """
+    # Beside a base that holds to the file.
+    model = selection.model
+    beside = [term for term in model.terms if term not in at_place or term in staying]
+    bare = held_to_file(model, beside)
+    taken = {term.key for term in staying}
     alone = [
         scored
         for scored in selection.alone_at(joint, bare)
-        if scored.fit.log_bayes_factor > 0.0
+        if scored.fit.log_bayes_factor > 0.0 and scored.term.key not in taken
     ]
     changes = [
         scored for scored in alone if scored.term.change and scored.term.joint == joint
@@ -203,7 +243,7 @@ def _change_at(
     if not changes:
         return None
 
-    # It stands for all where nothing does clearly better; or where none of the terms is
+    # It stands where nothing does clearly better; or in place of terms of which none is
     # sure by itself, if it has a good part of the best one's gain.
     first = changes[0]
     stands = selection.as_good(first, alone[0])
@@ -215,7 +255,7 @@ def _change_at(
     if not stands:
         return None
 
-    with_change = held_to_file(model, [*elsewhere, first.term])
+    with_change = held_to_file(model, [*beside, first.term])
     judged = TermAgainstFile(first.term, with_change)
     if not selection.is_told(judged, least):
         return None

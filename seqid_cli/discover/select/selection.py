@@ -112,6 +112,7 @@ def _best_of_all(selections: Sequence[Selection]) -> Selection:
             terms=tuple(other.model.terms),
         )
         for other, worth_of_other in zip(selections, worth, strict=True)
+        if other is not best
     ]
     return best
 

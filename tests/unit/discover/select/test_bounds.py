@@ -61,6 +61,11 @@ def test_the_others_are_what_they_are_at_the_bound() -> None:
     assert moved([0.1, -0.01], 0.01, correlation=0.5) == pytest.approx([0.105, 0.0])
 
 
+def test_what_the_others_push_beyond_a_bound_is_at_that_bound() -> None:
+    """An estimate that was within its bounds does not go back there."""
+    assert moved([1.52, 0.005], 0.02, correlation=0.9)[1] == 0.0
+
+
 def driving_alone(size: float) -> Callable[[Scene], Array]:
     """Losses of a gear that costs nothing while it is driven, or gives a little."""
 

@@ -163,7 +163,7 @@ def full_residual(scene: Scene, residual: Array) -> Array:
 
     Parameters
     ----------
-    `scene` : `Scene`
+    scene : Scene
         The data set.
     residual : (N, n) array
         The low-passed residual at the data set's rate [N m; N where prismatic].

@@ -163,7 +163,7 @@ def full_residual(scene: Scene, residual: Array) -> Array:
 
     Parameters
     ----------
-    scene : Scene
+    `scene` : `Scene`
         The data set.
     residual : (N, n) array
         The low-passed residual at the data set's rate [N m; N where prismatic].
@@ -185,7 +185,7 @@ def full_residual(scene: Scene, residual: Array) -> Array:
 def _above(full: Scene) -> Array:
     """Return the measured torque (N, n) above the cut-off less the model's.
 
-    It is kept with the scene: every search asks for it.
+    It is kept with the data set: every search asks for it.
     """
     key = ("torque above the cut-off", 0)
     if key not in full.memo:

@@ -127,15 +127,51 @@ class _Eliminated:
         )
 
 
-class _LogSums(NamedTuple):
-    """Products A (p_c, p_c) and b (p_c,) of a log at a channel, its own columns out.
+@dataclass(frozen=True)
+class _OwnColumns:
+    """The own columns of all L logs at one channel.
 
-    `eliminated` are these; None where there are none.
+    Attributes
+    ----------
+    products : (L, s, p_c + s + 1) array
+        S'w [B, S, y], log by log.
+    root : (L, s, s) array
+        Roots R of G, lower triangular.
+    base : (L, s, p_c) array
+        R^-1 S'wB.
+    y : (L, s) array
+        R^-1 S'wy.
     """
 
-    A: Array
-    b: Array
-    eliminated: _Eliminated | None
+    products: Array
+    root: Array
+    base: Array
+    y: Array
+
+    @classmethod
+    def of(cls, products: Array, precision: Array) -> _OwnColumns:
+        """Factor the products (L, s, p_c + s + 1); `precision` (s, s) is V."""
+        s = len(precision)
+        p = products.shape[-1] - s - 1
+        root = np.linalg.cholesky(products[..., p : p + s] + precision)
+        others = np.concatenate([products[..., :p], products[..., -1:]], axis=-1)
+        halved = np.linalg.solve(root, others)
+        return cls(
+            products=products,
+            root=np.asarray(root, dtype=np.float64),
+            base=np.asarray(halved[..., :p], dtype=np.float64),
+            y=np.asarray(halved[..., -1], dtype=np.float64),
+        )
+
+    def of_log(self, log: int) -> _Eliminated:
+        """Return those of one log."""
+        return _Eliminated(root=self.root[log], base=self.base[log], y=self.y[log])
+
+    def coefficients(self, theta: Array) -> Array:
+        """Return the coefficients (L, s) beside parameters (p_c,) of the channel."""
+        left = self.y - self.base @ theta
+        upper = np.swapaxes(self.root, -1, -2)
+        return np.asarray(np.linalg.solve(upper, left[..., None])[..., 0])
 
 
 class _WithoutBlock(NamedTuple):
@@ -277,56 +313,62 @@ class LinearModel:
 
     # ---- the fit
 
-    def _products_of(self, channel: int, at: slice) -> tuple[Array, Array]:
-        """Return products of a channel's columns, the log's own last, and the rows."""
-        groups = [group[at] for group in self._columns[channel].all_groups]
-        B = _weighted(self._root[channel][at], groups)
-        return B.T @ B, B.T @ self._scaled_y[channel][at]
-
-    def _eliminated(self, channel: int, A: Array, b: Array) -> _LogSums:
-        """Eliminate a log's own columns from its products."""
+    def _scaled(self, channel: int, at: slice) -> tuple[Array, Array]:
+        """Return some rows of unit noise of a channel's columns, and the logs' own."""
         columns = self._columns[channel]
-        if columns.of_log is None:
-            return _LogSums(A, b, None)
+        groups = [group[at] for group in columns.all_groups]
+        scaled = _weighted(self._root[channel][at], groups)
         p = len(columns.index)
-        G = A[p:, p:] + columns.of_log.precision
-        root = np.asarray(np.linalg.cholesky(G), dtype=np.float64)
-        halved = solve_triangular(
-            root, np.column_stack([A[p:, :p], b[p:]]), lower=True, check_finite=False
-        )
-        base = halved[:, :p]
-        y = halved[:, p]
-        return _LogSums(
-            A[:p, :p] - base.T @ base,
-            b[:p] - base.T @ y,
-            _Eliminated(root=root, base=base, y=y),
-        )
+        return scaled[:, :p], scaled[:, p:]
+
+    @staticmethod
+    def _own_products(base: Array, own: Array, y: Array) -> Array:
+        """Return S'w [B, S, y] (s, p_c + s + 1) of some rows of unit noise."""
+        return np.column_stack([own.T @ base, own.T @ own, own.T @ y])
 
     @cached_property
-    def _products_of_logs(self) -> list[list[tuple[Array, Array]]]:
-        """Products of every log, channel by channel."""
-        return [
-            [self._products_of(channel, at) for at in slices]
-            for channel, slices in enumerate(self.rows.log_slices)
-        ]
+    def _sums_and_own(
+        self,
+    ) -> tuple[list[tuple[Array, Array]], list[_OwnColumns | None]]:
+        """Products A, b of every channel, nothing out, and the logs' own columns."""
+        sums = []
+        own_columns: list[_OwnColumns | None] = []
+        for channel, columns in enumerate(self._columns):
+            base, own = self._scaled(channel, slice(None))
+            y = self._scaled_y[channel]
+            sums.append((base.T @ base, base.T @ y))
+            if columns.of_log is None:
+                own_columns.append(None)
+                continue
+            products = [
+                self._own_products(base[at], own[at], y[at])
+                for at in self.rows.log_slices[channel]
+            ]
+            own_columns.append(
+                _OwnColumns.of(np.stack(products), columns.of_log.precision)
+            )
+        return sums, own_columns
 
-    @cached_property
-    def _sums_of_logs(self) -> list[list[_LogSums]]:
-        """The same, each log's own columns out."""
-        return [
-            [self._eliminated(channel, A, b) for A, b in products]
-            for channel, products in enumerate(self._products_of_logs)
-        ]
+    @property
+    def _own(self) -> list[_OwnColumns | None]:
+        """The logs' own columns, channel by channel."""
+        return self._sums_and_own[1]
 
     @cached_property
     def sums(self) -> tuple[Array, Array]:
         """Products A (p, p) and b (p,) of all rows, the logs' own columns out."""
         A = np.zeros((self.size, self.size))
         b = np.zeros(self.size)
-        for columns, of_logs in zip(self._columns, self._sums_of_logs, strict=True):
+        for columns, of_channel, own in zip(
+            self._columns, *self._sums_and_own, strict=True
+        ):
             index = columns.index
-            A[np.ix_(index, index)] += sum(of_log.A for of_log in of_logs)
-            b[index] += sum(of_log.b for of_log in of_logs)
+            A[np.ix_(index, index)] += of_channel[0]
+            b[index] += of_channel[1]
+            if own is not None:
+                base = own.base.reshape(-1, len(index))
+                A[np.ix_(index, index)] -= base.T @ base
+                b[index] -= base.T @ own.y.ravel()
         return A, b
 
     @cached_property
@@ -370,15 +412,22 @@ class LinearModel:
         for channel, at in enumerate(rows):
             if at.stop == at.start:
                 continue
-            A_log, b_log = self._products_of_logs[channel][log]
-            A_rows, b_rows = self._products_of(channel, at)
-            others = self._eliminated(channel, A_log - A_rows, b_log - b_rows)
-            of_log = self._sums_of_logs[channel][log]
-            index = self._columns[channel].index
-            A[np.ix_(index, index)] += others.A - of_log.A
-            b[index] += others.b - of_log.b
-            if others.eliminated is not None:
-                eliminated[channel] = others.eliminated
+            columns = self._columns[channel]
+            base, own_columns = self._scaled(channel, at)
+            y = self._scaled_y[channel][at]
+            square = np.ix_(columns.index, columns.index)
+            A[square] -= base.T @ base
+            b[columns.index] -= base.T @ y
+
+            own = self._own[channel]
+            if own is None or columns.of_log is None:
+                continue
+            products = own.products[log] - self._own_products(base, own_columns, y)
+            others = _OwnColumns.of(products[None], columns.of_log.precision).of_log(0)
+            of_log = own.of_log(log)
+            A[square] += of_log.base.T @ of_log.base - others.base.T @ others.base
+            b[columns.index] += of_log.base.T @ of_log.y - others.base.T @ others.y
+            eliminated[channel] = others
         return _WithoutBlock(self._fit(A, b), eliminated)
 
     @cached_property
@@ -428,23 +477,18 @@ class LinearModel:
     @property
     def _explained_by_logs(self) -> float:
         """Square of the rows that the logs' own columns explain by themselves."""
-        total = 0.0
-        for of_channel in self._sums_of_logs:
-            for _, _, own in of_channel:
-                total += 0.0 if own is None else float(own.y @ own.y)
-        return total
+        return sum(float(np.sum(own.y**2)) for own in self._own if own is not None)
 
     @property
     def _half_log_det_of_logs(self) -> float:
-        """Half the logarithm of the determinants of G V^-1, log by log."""
+        """Half the logarithm of the determinants of G V^-1, all logs together."""
         total = 0.0
-        for columns, of_channel in zip(self._columns, self._sums_of_logs, strict=True):
-            if columns.of_log is None:
+        for columns, own in zip(self._columns, self._own, strict=True):
+            if own is None or columns.of_log is None:
                 continue
+            diagonal = np.diagonal(own.root, axis1=-2, axis2=-1)
             prior = 0.5 * float(np.log(np.diag(columns.of_log.precision)).sum())
-            for _, _, own in of_channel:
-                if own is not None:
-                    total += float(np.log(np.diag(own.root)).sum()) - prior
+            total += float(np.log(diagonal).sum()) - len(own.root) * prior
         return total
 
     # ---- what the model leaves
@@ -452,13 +496,15 @@ class LinearModel:
     def residual(self) -> list[Array]:
         """Return what is left (M_c,) N m of every channel."""
         by_channel = []
-        for channel, slices in enumerate(self.rows.log_slices):
-            of_logs = self._sums_of_logs[channel]
-            parts = [
-                self._left(channel, at, self.theta, of_log.eliminated)
-                for at, of_log in zip(slices, of_logs, strict=True)
-            ]
-            by_channel.append(np.concatenate(parts))
+        for channel, columns in enumerate(self._columns):
+            left = self._left(channel, slice(None), self.theta)
+            own = self._own[channel]
+            if own is not None and columns.of_log is not None:
+                coefficients = own.coefficients(self.theta[columns.index])
+                lengths = [at.stop - at.start for at in self.rows.log_slices[channel]]
+                of_row = np.repeat(coefficients, lengths, axis=0)
+                left -= np.sum(columns.of_log.columns * of_row, axis=1)
+            by_channel.append(left)
         return by_channel
 
     @cached_property
@@ -502,10 +548,17 @@ class LinearModel:
     def _without_logs(self, logs: Index) -> _Solution:
         """Return the fit without the rows of some logs."""
         A, b = (total.copy() for total in self.sums)
-        for columns, of_logs in zip(self._columns, self._sums_of_logs, strict=True):
+        for channel, columns in enumerate(self._columns):
+            square = np.ix_(columns.index, columns.index)
+            own = self._own[channel]
             for log in logs:
-                A[np.ix_(columns.index, columns.index)] -= of_logs[log].A
-                b[columns.index] -= of_logs[log].b
+                at = self.rows.log_slices[channel][log]
+                base, _ = self._scaled(channel, at)
+                A[square] -= base.T @ base
+                b[columns.index] -= base.T @ self._scaled_y[channel][at]
+                if own is not None:
+                    A[square] += own.base[log].T @ own.base[log]
+                    b[columns.index] += own.base[log].T @ own.y[log]
         return self._fit(A, b)
 
     def torque_beside_file(self, part: ColumnGroup, channel: int) -> Array:
@@ -613,10 +666,11 @@ class LinearModel:
                 d[block] += residual[rows] @ weighted[rows]
 
             C[columns.index] += products[:p]
-            for log, of_log in enumerate(self._sums_of_logs[channel]):
-                own = of_log.eliminated
-                if own is None:
-                    continue
+            own_columns = self._own[channel]
+            if own_columns is None:
+                continue
+            for log in range(len(own_columns.root)):
+                own = own_columns.of_log(log)
                 blocks = np.flatnonzero(self.rows.log == log)
                 halved = own.halved(products[p:, blocks])
                 C[np.ix_(columns.index, blocks)] -= own.base.T @ halved
@@ -752,33 +806,53 @@ class LinearModel:
                 of_term = np.arange(where[i].start, where[i].stop)
                 places.append(of_term[terms[i].at(channel)])
             columns = np.concatenate(places)
-            of_channel = np.ix_(base.index, columns)
+            logs = self.rows.log_slices[channel]
 
-            for log, log_rows in enumerate(self.rows.log_slices[channel]):
-                blocks = np.flatnonzero(self.rows.log == log) if by_block else ()
-                slices = [self.rows.block_slices[channel][block] for block in blocks]
+            place = _Place(
+                base=base.index,
+                columns=columns,
+                terms=present,
+                inside=[terms[i].at(channel) for i in present],
+            )
+
+            every_row = slice(0, len(self.rows.y[channel]))
+            parts = [self._term_products(channel, groups, every_row, logs)]
+            if by_block:
                 parts = [
-                    self._term_products(channel, groups, at)
-                    for at in slices or [log_rows]
+                    self._term_products(channel, groups, rows, [rows])
+                    for rows in self.rows.block_slices[channel]
                 ]
-                of_log = sum(parts[1:], start=parts[0])
-                worth = of_log.without_own(self._sums_of_logs[channel][log].eliminated)
-                total.C[of_channel] += worth.C
-                total.d[columns] += worth.d
-                for i, of_term in zip(present, worth.D, strict=True):
-                    at = terms[i].at(channel)
-                    total.D[i][at, at] += of_term
+            for part in parts:
+                place.add(part, total)
+            of_blocks = [
+                _Total(C=C[block], d=d[block], D=[of_term[block] for of_term in D])
+                for block in range(n_blocks)
+            ]
+            for part, of_block in zip(parts, of_blocks, strict=by_block):
+                place.add(part, of_block)
 
-                for block, part in zip(blocks, parts, strict=by_block):
-                    own = self._without_block[block].eliminated.get(channel)
-                    if base.of_log is not None and own is None:
-                        continue  # without rows here
-                    in_block = worth - (of_log - part).without_own(own)
-                    C[block][of_channel] += in_block.C
-                    d[block, columns] += in_block.d
-                    for i, of_term in zip(present, in_block.D, strict=True):
-                        at = terms[i].at(channel)
-                        D[i][block, at, at] += of_term
+            own = self._own[channel]
+            if own is None:
+                continue
+            own_products = parts[0].own
+            if by_block:
+                own_products = np.zeros((len(logs), *parts[0].own.shape[1:]))
+                np.add.at(own_products, self.rows.log, [part.own[0] for part in parts])
+            sizes = [len(of_term) for of_term in parts[0].D]
+            halved = np.asarray(np.linalg.solve(own.root, own_products))
+            place.add(_explained(own.base, own.y, halved, sizes), total)
+
+            # A block takes its part from its log's own columns as well.
+            for block, of_block in enumerate(of_blocks):
+                others = self._without_block[block].eliminated.get(channel)
+                if others is None:
+                    continue  # without rows here
+                log = self.rows.log[block]
+                by_all = _explained(own.base[log], own.y[log], halved[log], sizes)
+                of_others = others.halved(own_products[log] - parts[block].own[0])
+                by_others = _explained(others.base, others.y, of_others, sizes)
+                place.add(by_all, of_block)
+                place.add(by_others.negated, of_block)
 
         for i, first in enumerate(original):
             if i != first:
@@ -791,25 +865,72 @@ class LinearModel:
         return _Crossed(terms=terms, where=where, C=C, d=d, D=D, total=total)
 
     def _term_products(
-        self, channel: int, terms: Sequence[ColumnGroup], rows: slice
+        self,
+        channel: int,
+        terms: Sequence[ColumnGroup],
+        rows: slice,
+        logs: Sequence[slice],
     ) -> _TermProducts:
-        """Return products of terms with a channel's columns, over some of its rows."""
-        base = self._columns[channel].all_groups
+        """Return products of terms with a channel's columns, over some of its rows.
+
+        With the logs' own columns they are told apart by the rows of each log.
+        """
+        columns = self._columns[channel]
+        of_log = columns.of_log
         sizes = [term.columns[channel].shape[1] for term in terms]
         edges = np.cumsum(sizes)[:-1]
-        C = np.zeros((sum(group.shape[1] for group in base), sum(sizes)))
+        C = np.zeros((len(columns.index), sum(sizes)))
         d = np.zeros(sum(sizes))
         D = [np.zeros((size, size)) for size in sizes]
+        n_own = 0 if of_log is None else len(of_log.precision)
+        own = np.zeros((len(logs), n_own, sum(sizes)))
         for tile in tiles(rows.stop, rows.start):
             X_each = [term.columns[channel][tile] for term in terms]
             wX = _weighted(self.weight[channel][tile], X_each)
-            if base:  # none above a cut-off
-                C += np.vstack([B[tile].T @ wX for B in base])
+            if columns.groups:  # none above a cut-off
+                C += np.vstack([B[tile].T @ wX for B in columns.groups])
             d += self.rows.y[channel][tile] @ wX
             wX_each = np.split(wX, edges, axis=1)
             for of_term, X, wX_of_term in zip(D, X_each, wX_each, strict=True):
                 of_term += X.T @ wX_of_term
-        return _TermProducts(C=C, d=d, D=tuple(D))
+            if of_log is None:
+                continue
+            for number, log in enumerate(logs):
+                start = max(log.start, tile.start)
+                stop = min(log.stop, tile.stop)
+                if start < stop:
+                    inside = wX[start - tile.start : stop - tile.start]
+                    own[number] += of_log.columns[start:stop].T @ inside
+        return _TermProducts(C=C, d=d, D=tuple(D), own=own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Place:
+    """Where products of a channel stand among those of all channels.
+
+    Attributes
+    ----------
+    base : (p_c,) index array
+        The parameters that the channel knows.
+    columns : (m,) index array
+        The columns of its terms.
+    terms : sequence of int
+        Their numbers.
+    inside : sequence of slice
+        Which of each term's columns the channel has.
+    """
+
+    base: Index
+    columns: Index
+    terms: Sequence[int]
+    inside: Sequence[slice]
+
+    def add(self, part: _TermProducts, total: _Total) -> None:
+        """Add products of the channel to the sums of all channels, in place."""
+        total.C[np.ix_(self.base, self.columns)] += part.C
+        total.d[self.columns] += part.d
+        for number, at, of_term in zip(self.terms, self.inside, part.D, strict=True):
+            total.D[number][at, at] += of_term
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -818,51 +939,49 @@ class _TermProducts:
 
     Attributes
     ----------
-    C : (p_c, m) or (p_c + s, m) array
-        With the base, and as long as they are not out with the log's own columns.
+    C : (p_c, m) array
+        With the base.
     d : (m,) array
         With the rows.
     D : tuple of (k, k) arrays
         Of each term with itself.
+    own : (L, s, m) array
+        With the own columns of L logs.
     """
 
     C: Array
     d: Array
     D: tuple[Array, ...]
+    own: Array
 
-    def __add__(self, other: _TermProducts) -> _TermProducts:
-        """Return the products of the rows of both."""
-        return _TermProducts(
-            C=self.C + other.C,
-            d=self.d + other.d,
-            D=tuple(a + b for a, b in zip(self.D, other.D, strict=True)),
-        )
+    @property
+    def negated(self) -> _TermProducts:
+        """The same with the other sign."""
+        D = tuple(-of_term for of_term in self.D)
+        return _TermProducts(C=-self.C, d=-self.d, D=D, own=self.own)
 
-    def __sub__(self, other: _TermProducts) -> _TermProducts:
-        """Return the products of the rows that the other ones do not have."""
-        return _TermProducts(
-            C=self.C - other.C,
-            d=self.d - other.d,
-            D=tuple(a - b for a, b in zip(self.D, other.D, strict=True)),
-        )
 
-    def without_own(self, own: _Eliminated | None) -> _TermProducts:
-        """Return the products with the log's own columns eliminated."""
-        if own is None:
-            return self
-        p = own.base.shape[1]
-        halved = own.halved(self.C[p:])
-        edges = np.cumsum([len(of_term) for of_term in self.D])[:-1]
-        return _TermProducts(
-            C=self.C[:p] - own.base.T @ halved,
-            d=self.d - own.y @ halved,
-            D=tuple(
-                of_term - part.T @ part
-                for of_term, part in zip(
-                    self.D, np.split(halved, edges, axis=1), strict=True
-                )
-            ),
-        )
+def _explained(
+    base: Array, y: Array, halved: Array, sizes: Sequence[int]
+) -> _TermProducts:
+    """Return what own columns of logs explain of products, with the other sign.
+
+    Parameters
+    ----------
+    base, y, halved : (..., s, p_c), (..., s) and (..., s, m) arrays
+        R^-1 S'wB, R^-1 S'wy and R^-1 S'wX of one log or of several.
+    sizes : sequence of int
+        Numbers of columns of each term.
+    """
+    flat = halved.reshape(-1, halved.shape[-1])
+    edges = np.cumsum(sizes)[:-1]
+    parts = np.split(flat, edges, axis=1)
+    return _TermProducts(
+        C=-base.reshape(-1, base.shape[-1]).T @ flat,
+        d=-(y.ravel() @ flat),
+        D=tuple(-(part.T @ part) for part in parts),
+        own=np.zeros((0, 0, flat.shape[-1])),
+    )
 
 
 class _Products(NamedTuple):

@@ -54,7 +54,7 @@ class RefinementRound(Struct, kw_only=True):
     null where no log goes there. Intervals are 95 % (empty: not known), `interval` that
     of the held-out gain. `whole_logs_gain` is the same on whole logs that were left out
     of the fit one after the other, at positions that the others reach, `gain_by_log`
-    that of each; it is null where fewer than three logs tell. `evidence` and `rivals`
+    that of each; it is null where one log alone tells. `evidence` and `rivals`
     are of the logs that were fitted, beside the effects of the rounds before.
     """
 

@@ -66,8 +66,22 @@ class AcrossLogs:
 
     @property
     def is_enough(self) -> bool:
-        """Whether there are enough logs to tell."""
+        """Whether there are enough logs to prove an effect."""
         return len(self.names) >= FEWEST_LOGS
+
+    def is_disproved(self, min_gain: float) -> bool:
+        """Return whether the logs speak against the effect.
+
+        Two of them prove nothing, but disprove what neither predicts of the other.
+
+        Parameters
+        ----------
+        min_gain : float
+            The least that counts.
+        """
+        if self.is_enough:
+            return not self.is_proven(min_gain)
+        return len(self.names) > 1 and self.gain.value < min_gain
 
     @cached_property
     def gain(self) -> Gain:
@@ -148,9 +162,10 @@ def across_logs(
     """Return the term, or the rival of it that predicts whole logs best.
 
     Blocks that lie between others tell a law from waves that follow it there by little.
-    Logs of other motions do: so rivals that explain half as much are asked as well. Of
-    those that predict no worse than the best one the one with the fewest parameters is
-    taken. A smooth function has no rivals: it is tried where no effect explains.
+    Logs of other motions do: so rivals that explain half as much are asked as well.
+    Where one is clearly better than the term, it stands in its place; of several the
+    one with the fewest parameters. A smooth function has no rivals: it is tried where
+    no effect explains.
 
     Parameters
     ----------
@@ -187,9 +202,10 @@ def across_logs(
         for scored, across in tried
         if across.is_as_good_as(best, options.negligible_share)
     ]
-    scored, across = min(near, key=lambda pair: pair[0].term.freedom)
-    if scored is result.scored:
+    # What the selection took stands unless another one is clearly better.
+    if any(scored is result.scored for scored, _ in near):
         return _with_logs(result, taken, result.term)
+    scored, across = min(near, key=lambda pair: pair[0].term.freedom)
     return _with_logs(_in_place(result, scored), across, result.term)
 
 

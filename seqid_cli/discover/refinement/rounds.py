@@ -359,7 +359,7 @@ def _decided(
     refused = []
     proven = []
     for result in hypothesis:
-        if result.across.is_enough and not result.across.is_proven(min_gain):
+        if result.across.is_disproved(min_gain):
             refused.append(Refusal.across_logs(result))
         else:
             proven.append(result)
@@ -470,7 +470,7 @@ def _round(
     change = _training_gain(result)
     likely_names = () if term.smooth else named(result).others
     across = None
-    if isinstance(result, ResultAcrossLogs) and result.across.is_enough:
+    if isinstance(result, ResultAcrossLogs) and len(result.across.names) > 1:
         across = result.across
     return RefinementRound(
         effect="unexplained" if term.smooth else term.name,
@@ -493,7 +493,7 @@ def _add_smooth(loop: Refinement, investigation: Investigation) -> None:
     options = loop.material.selection_options
     for smooth in investigation.selection.smooth:
         result = across_logs(smooth, investigation.logs, options)
-        if result.across.is_enough and not result.across.is_proven(options.improvement):
+        if result.across.is_disproved(options.improvement):
             reason = Refusal.across_logs(result).reason
             loop.refused.append(_round(loop, investigation, result, reason=reason))
             continue

@@ -73,6 +73,22 @@ def test_two_logs_prove_nothing() -> None:
     judged = across_logs(result, named_logs(2), Options()).across
     assert not judged.is_enough
     assert not judged.is_proven(Options().improvement)
+    assert not judged.is_disproved(Options().improvement)
+
+
+@pytest.mark.parametrize(
+    ("after", "disproved"), [((1.2, 0.8), True), ((0.7, 0.9), False)]
+)
+def test_two_logs_may_still_disprove(
+    after: tuple[float, float], *, disproved: bool
+) -> None:
+    logs = AcrossLogs(
+        names=("a", "b"),
+        before=np.ones(2),
+        after=np.array(after),
+        predicted=np.full(2, 0.3),
+    )
+    assert logs.is_disproved(0.04) is disproved
 
 
 def load_loss(scene: Scene) -> Array:

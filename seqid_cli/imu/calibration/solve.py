@@ -306,8 +306,8 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
             widths.drift[kind] = sensor_model.next_width(
                 drift[:, kind], drift_open[:, kind], widths.drift[kind]
             )
-    widths.rate[:] = sensor_model.next_width(
-        np.array([constants.rate]), variance[[at.rate]], widths.rate, least=QUARTZ
+    widths.rate[:] = _rate_width(
+        constants.rate, float(variance[at.rate]), float(widths.rate[0])
     )
     if len(constants.logs) > 1:
         clock_open = variance[at.shared :].reshape(-1, 2)
@@ -319,6 +319,28 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
                 least=least,
             )
     return widths
+
+
+def _rate_width(
+    rate: float, left_open: float, width: float, *, clear: float = 4.0
+) -> float:
+    """Return the width of the prior of a clock's rate: QUARTZ, unless it is off.
+
+    Parameters
+    ----------
+    rate, left_open : float
+        Its estimate [s/s], and the variance of that.
+    width : float
+        Present standard deviation of the prior.
+    clear : float
+        Standard errors of what the logs alone show, from which on the clock is off.
+    """
+    # What the logs alone show, without the prior. Many clocks are right and a few are
+    # far off: a width in between would let chance pass for a small drift.
+    by_logs = max(1.0 / left_open - width**-2.0, 1e-6)
+    shown = rate / (left_open * by_logs)
+    is_off = abs(shown) * np.sqrt(by_logs) > clear
+    return max(abs(shown), QUARTZ) if is_off else QUARTZ
 
 
 def _finished(

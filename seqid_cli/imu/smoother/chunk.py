@@ -102,6 +102,8 @@ class EncoderView:
         (N,), whether the sample holds a position.
     stride : int
         One of so many places was sampled.
+    edge_offset : float
+        Places by which an edge lies behind the one that it is written at.
     """
 
     q: Array
@@ -111,11 +113,17 @@ class EncoderView:
     dwell: Array
     known: Mask
     stride: int = 1
+    edge_offset: float = 0.5
 
     def refined(self, stride: int) -> "EncoderView":
-        """Return the view with `stride` places per sample; edges lie between them."""
+        """Return the view with `stride` places per sample; edges lie between them.
+
+        Midway between two samples is a place where `stride` is even, else midway
+        between two places.
+        """
+        middle = stride // 2
         edge = np.full(len(self.q) * stride, np.nan)
-        edge[(stride - 1) // 2 :: stride] = self.edge
+        edge[middle::stride] = self.edge
         known = np.zeros(len(edge), dtype=bool)
         known[::stride] = self.known
         return replace(
@@ -125,6 +133,7 @@ class EncoderView:
             dwell=np.repeat(self.dwell, stride),
             known=known,
             stride=stride,
+            edge_offset=0.5 * stride - middle,
         )
 
     def weights(
@@ -151,7 +160,7 @@ class EncoderView:
         Returns
         -------
         tuple of Array
-            Both (N,) 1/rad^2, the edges half a sample after their samples.
+            Both (N,) 1/rad^2, the edges `edge_offset` places behind theirs.
         """
         # A joint that crosses an edge was there within one sample: its position is
         # known to speed * dt / sqrt 12, which beats step / sqrt 12 below one count per

@@ -115,7 +115,7 @@ def _encoders(chunk: Chunk, c: Array) -> _Encoders:
     def by_place(values: Array) -> Array:
         return values.reshape(2, m, every, n).swapaxes(1, 2).reshape(-1, m, n)
 
-    u_edges = (np.arange(every) + 0.5) / every
+    u_edges = (np.arange(every) + chunk.views[0].edge_offset) / every
     at_edges = splines.spline_weights(u_edges, chunk.spacing)[:, 0]
     rows = np.concatenate([chunk.knots[:, 0], at_edges])
     w = by_place(weight)

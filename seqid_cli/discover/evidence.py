@@ -395,6 +395,8 @@ def taken_up_at(
     fitted = Search(held, catalogue).effects_at(joint, held)
     keys = {term.key for term in model.terms}
     terms = [each.term for each in fitted if each.term.key not in keys]
+    if not terms:
+        return []
     parts = [term.part for term in terms]
     entries = []
     for term, score, beside_loose in zip(

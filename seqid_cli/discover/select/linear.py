@@ -34,6 +34,8 @@ that of a log's own columns.
 
 from __future__ import annotations
 
+import math
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -366,7 +368,7 @@ class LinearModel:
             A[np.ix_(index, index)] += of_channel[0]
             b[index] += of_channel[1]
             if own is not None:
-                base = own.base.reshape(-1, len(index))
+                base = own.base.reshape(own.y.size, len(index))
                 A[np.ix_(index, index)] -= base.T @ base
                 b[index] -= base.T @ own.y.ravel()
         return A, b
@@ -973,11 +975,11 @@ def _explained(
     sizes : sequence of int
         Numbers of columns of each term.
     """
-    flat = halved.reshape(-1, halved.shape[-1])
+    flat = halved.reshape(math.prod(halved.shape[:-1]), halved.shape[-1])
     edges = np.cumsum(sizes)[:-1]
     parts = np.split(flat, edges, axis=1)
     return _TermProducts(
-        C=-base.reshape(-1, base.shape[-1]).T @ flat,
+        C=-base.reshape(math.prod(base.shape[:-1]), base.shape[-1]).T @ flat,
         d=-(y.ravel() @ flat),
         D=tuple(-(part.T @ part) for part in parts),
         own=np.zeros((0, 0, flat.shape[-1])),

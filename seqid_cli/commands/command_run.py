@@ -15,6 +15,7 @@ return run.exit_code(verdicts, strict=strict)
 """
 
 import contextlib
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
@@ -45,6 +46,11 @@ EXIT_PARTIAL = 3
 # Below this many bytes of logs one process is done before others have imported what
 # they need.
 WORTH_BYTES = 32_000_000
+
+
+def quoted(path: object) -> str:
+    """Return a path as a shell takes it, with quotes where it has blanks."""
+    return shlex.quote(str(path))
 
 
 class CommandRun:

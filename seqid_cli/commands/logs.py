@@ -12,6 +12,7 @@ from seqid_cli.commands.command_run import (
     EXIT_PARTIAL,
     EXIT_UNTRUSTED,
     CommandRun,
+    quoted,
 )
 from seqid_cli.commands.options import (
     SIX,
@@ -242,7 +243,7 @@ IMUs as far as known.
     _show_proposal(screen, proposal, content, output)
     if output is not None:
         screen.note(f"written: {output}")
-        screen.note(f"next: seqid inspect {logs[0]} -r {output}")
+        screen.note(f"next: seqid inspect {quoted(logs[0])} -r {quoted(output)}")
     return EXIT_DONE
 
 

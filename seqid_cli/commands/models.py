@@ -7,7 +7,7 @@ import typer
 
 from seqid_cli import discover, identify
 from seqid_cli import payload as payloads
-from seqid_cli.commands.command_run import CommandRun
+from seqid_cli.commands.command_run import CommandRun, quoted
 from seqid_cli.commands.options import (
     SIX,
     CutoffOption,
@@ -165,7 +165,10 @@ def _show_prediction(screen: Screen, file: PredictionFile) -> None:
     motion_uses = [log.motion for log in file.logs if log.motion is not None]
     show_motion(screen, motion_uses, file.robot)
 
-    cutoffs_hz = sorted({number(log.cutoff_hz) for log in file.logs})
+    cutoffs_hz = [
+        number(cutoff_hz) for cutoff_hz in sorted({log.cutoff_hz for log in file.logs})
+    ]
+    cutoffs_hz = list(dict.fromkeys(cutoffs_hz))
     screen.note(
         f"cut-off: {', '.join(cutoffs_hz)} Hz, {file.cutoff_origin} (--cutoff"
         " overrides)"
@@ -260,11 +263,11 @@ def _next_after_diagnosis(
         return (
             "record longer logs in which all joints move and rest, then diagnose again"
         )
-    models = " ".join(f"-p {path}" for path in parameters)
+    models = " ".join(f"-p {quoted(path)}" for path in parameters)
     # Without a known effect only a smooth term is left to add.
     smooth = "" if file.findings else " --with-unexplained"
     return (
-        f"seqid refine LOG... --holdout LOG... -r {robot} {models}{smooth}"
+        f"seqid refine LOG... --holdout LOG... -r {quoted(robot)} {models}{smooth}"
         " -o refined.json"
     )
 
@@ -372,7 +375,9 @@ predicted better.
     show_refinement(run.screen, loop, file, explain)
     show_motion(run.screen, loop.motion, file.robot)
     run.show_output(
-        output, f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+        output,
+        f"seqid predict LOG... -r {quoted(robot)}"
+        f" -p {quoted(output)} -o prediction.json",
     )
     is_untrusted = loop.verdict == "poor" or not loop.rounds
     return run.exit_code(loop.verdicts, strict=strict, is_untrusted=is_untrusted)

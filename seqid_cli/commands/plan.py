@@ -231,7 +231,9 @@ standard errors they will give.
             share=share,
             locked=tuple(locked or ()),
             speed_scale=speed_scale,
-            between=tuple(between.split(",")) if between else (),
+            between=tuple(name.strip() for name in between.split(","))
+            if between
+            else (),
             joint=joint,
             load_kg=load_kg,
             keep_out=tuple(_box(text) for text in keep_out or ()),

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli import identify
-from seqid_cli.commands.command_run import CommandRun
+from seqid_cli.commands.command_run import CommandRun, quoted
 from seqid_cli.commands.options import (
     SIX,
     AddedToOption,
@@ -132,7 +132,9 @@ def friction(
             on_progress=run.on_progress,
         )
     verdicts = _show_result(run, file, ["friction"])
-    following = f"seqid gravity LOG... -r {robot} -p {output} -o gravity.json"
+    following = (
+        f"seqid gravity LOG... -r {quoted(robot)} -p {quoted(output)} -o gravity.json"
+    )
     run.show_output(output, _proposed(verdicts, following, robot, output))
     return run.exit_code(verdicts, strict=strict)
 
@@ -408,13 +410,21 @@ def _proposed(
     if level == "poor":
         return ""
     if level == "usable":
-        return f"seqid diagnose LOG... -r {robot} -p {output} -o diagnosis.json"
+        return (
+            f"seqid diagnose LOG... -r {quoted(robot)}"
+            f" -p {quoted(output)} -o diagnosis.json"
+        )
     return following
 
 
 def _inertia_command(robot: Path, output: Path | None) -> str:
-    return f"seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
+    return (
+        f"seqid inertia LOG... -r {quoted(robot)} -p {quoted(output)} -o inertia.json"
+    )
 
 
 def _predict_command(robot: Path, output: Path | None) -> str:
-    return f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+    return (
+        f"seqid predict LOG... -r {quoted(robot)}"
+        f" -p {quoted(output)} -o prediction.json"
+    )

@@ -4,14 +4,17 @@ processes.
 
 import importlib.util
 import json
+import shlex
 import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import jsonschema
 import pyarrow.parquet as pq
 import pytest
 from msgspec import structs
 
+from seqid_cli.commands.stages import _predict_command
 from seqid_cli.errors import ConfigError, QualityError, SeqidError
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import GravityResult
@@ -301,3 +304,8 @@ def test_dask_that_is_not_installed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -
     done = rig.run("friction", "a.parquet", "-r", "robot.toml", "--engine", "dask")
     assert done.code == 2
     assert "pip install 'seqid[dask]'" in done.err
+
+
+def test_the_command_to_type_next_is_one_that_a_shell_takes() -> None:
+    following = _predict_command(Path("my arm/robot.toml"), Path("out/inertia.json"))
+    assert shlex.split(following)[4:6] == ["my arm/robot.toml", "-p"]

@@ -35,7 +35,6 @@ that of a log's own columns.
 from __future__ import annotations
 
 import math
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -98,7 +98,7 @@ def position_quality(
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        yield from missing(column, joint.name, "position", settings.max_missing)
+        yield from missing(column, data.t, joint.name, "position", settings.max_missing)
         if joint.name in broken:
             continue
 

@@ -139,7 +139,9 @@ def torque_quality(
     quantity, all_values = effort
     for j, name in enumerate(data.robot.joint_names):
         column = all_values[:, j]
-        yield from missing(column, name, quantity, data.settings.channels.max_missing)
+        yield from missing(
+            column, data.t, name, quantity, data.settings.channels.max_missing
+        )
         if not data.moves(j) or name in broken:
             continue
         present = np.isfinite(column)

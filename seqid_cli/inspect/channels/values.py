@@ -120,16 +120,20 @@ def lattice(values: Array) -> float:
 
 
 def missing(
-    values: Array, joint: str, channel: str, max_missing: float
+    values: Array, stamps: Array, joint: str, channel: str, max_missing: float
 ) -> Iterator[InspectionFinding]:
     """Find values that are missing at uneven distances.
 
-    Values of a slower channel are missing evenly: that is no fault.
+    Values of a slower channel are missing evenly: that is no fault. Nor are those of a
+    table into which rows of two clocks were merged: they are uneven by row, and even by
+    their stamps.
 
     Parameters
     ----------
     values : (M,) array
         Values, NaN where one is missing.
+    stamps : (M,) array
+        Their stamps, in any unit.
     joint, channel : str
         Names of the joint or IMU, and of the channel.
     max_missing : float
@@ -141,6 +145,12 @@ def missing(
     usual_distance = int(np.bincount(np.diff(present)).argmax())
     covered = (len(present) - 1) * usual_distance
     share = 1.0 - covered / float(present[-1] - present[0])
-    if share > max_missing:
+
+    # A stamp that is coarse or jitters hides neither clock.
+    times = np.asarray(stamps[present], dtype=np.float64)
+    intervals = np.diff(times)
+    covered_time = (len(present) - 1) * float(np.median(intervals))
+    share_of_time = 1.0 - covered_time / max(float(times[-1] - times[0]), 1e-300)
+    if min(share, share_of_time) > max_missing:
         text = f"{percent(share)} of the values are missing"
         yield finding_of("values_missing", text, joint, channel)

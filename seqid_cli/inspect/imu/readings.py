@@ -85,6 +85,7 @@ def _channels(
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
         stamps = stream.stamp_ns
+        seconds = np.asarray((stamps - stamps[:1]) * 1e-9, dtype=np.float64)
         interval_s = 0.0
         if len(stamps) > 1:
             interval_s = float(np.median(np.diff(stamps))) * 1e-9
@@ -98,7 +99,7 @@ def _channels(
             )
             for k, present in enumerate(columns):
                 name = channel_name(imu, quantity, first[quantity] + k)
-                lost = [*missing(values[:, k], imu.name, name, max_missing)]
+                lost = [*missing(values[:, k], seconds, imu.name, name, max_missing)]
                 if lost:
                     yield from lost
                     continue

@@ -230,12 +230,18 @@ def _fitted(
             fixed = [r.linear.weights for r in reductions]
         step, information = state.solved(reductions)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        # Where all logs have one clock, their own changes shrink for many rounds.
+        shared = slice(state.constants.places.shared)
+        relative = np.abs(step) / np.sqrt(np.diag(covariance))
+        change = float(np.max(relative[shared]))
         # Whole steps may jump to and fro once the sizes change with them.
         share = 1.0 if sizes is None or number < freeze else 0.5
         limit = min(1.0, max_turn / max(float(np.linalg.norm(step[:3])), 1e-12))
         state = state.moved(share * limit * step, share, reductions)
-        state = replace(state, widths=_renewed(state, covariance, reductions))
+        # A clock taken for off in one round and for right in the next would keep the
+        # fit from settling.
+        widths = _renewed(state, covariance, reductions, decides=number < freeze)
+        state = replace(state, widths=widths)
         if sizes is not None:
             sizes = renewed([r.linear for r in reductions], sizes)
         if number > freeze and change < settled:
@@ -277,8 +283,14 @@ def _moves(
     return np.array(moves).T
 
 
-def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Widths:
-    """Renew the widths of the priors, per kind of sensor, and return them."""
+def _renewed(
+    state: _State, covariance: Array, reductions: list[Reduced], *, decides: bool
+) -> Widths:
+    """Renew the widths of the priors, per kind of sensor, and return them.
+
+    That of the clock's rate is renewed only while it `decides` whether the clock is
+    off.
+    """
     constants = state.constants
     widths = state.widths
     c = len(constants.bias)
@@ -306,9 +318,10 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
             widths.drift[kind] = sensor_model.next_width(
                 drift[:, kind], drift_open[:, kind], widths.drift[kind]
             )
-    widths.rate[:] = _rate_width(
-        constants.rate, float(variance[at.rate]), float(widths.rate[0])
-    )
+    if decides:
+        widths.rate[:] = _rate_width(
+            constants.rate, float(variance[at.rate]), float(widths.rate[0])
+        )
     if len(constants.logs) > 1:
         clock_open = variance[at.shared :].reshape(-1, 2)
         for k, least in enumerate(LEAST_CLOCK_WIDTHS):

@@ -211,6 +211,7 @@ def investigate(
     # Events, and samples at which the torque of an effect is not known, are left out.
     step("looking for events", 8, 10)
     first_model = selection.model
+    other_models = selection.others
     unknown = guessed(first_model)
     events = not_of_terms(events_of(first_model, unknown, settings, rows), first_model)
 
@@ -226,6 +227,8 @@ def investigate(
                 first_model.candidates,
             )
             selection.run()
+            # What other models have of the first rows may be it on these as well.
+            selection.others = other_models
         result = selection.told(least)
 
         step("estimating the noise", 9, 10)

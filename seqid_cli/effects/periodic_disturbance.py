@@ -275,6 +275,8 @@ class PeriodicDisturbance(Effect):
 
             # A log in which the joint does not move tells nothing of it.
             told = [signal for signal in signals if np.any(signal.values)]
+            if not told:
+                continue
             of_logs = _amplitudes(told, line.frequency)
             is_in_all = bool(of_logs.min() >= SAME * np.median(of_logs))
             is_steady = line.coherence >= COHERENT and is_in_all

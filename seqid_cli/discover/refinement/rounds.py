@@ -379,7 +379,8 @@ def _decided_when(
 
     What is in the file's own logs was there all along. Else the account holds that
     explains the logs of all stages better; without these the one that the base speaks
-    for. Every stage again is costly, and not asked for where nothing speaks for it.
+    for, if its model is better, and else the other. Every stage again is costly, and
+    not asked for where nothing speaks for it.
     """
     effects = tuple(effect_of(result) for result in hypothesis)
     all_along_model = CandidateModel(
@@ -397,8 +398,13 @@ def _decided_when(
     channels = frozenset[int]().union(*(result.term.channels for result in hypothesis))
     is_absorbed = any(effect.absorbed for effect in effects)
     base_left_file = is_absorbed or _base_is_loose(investigation, channels)
-    if loop.material.known or (base_left_file and not loop.logs_before):
+    if loop.material.known:
         return Decision.of(all_along_model)
+    if base_left_file and not loop.logs_before:
+        all_along = Decision.of(all_along_model)
+        if all_along.candidate_model.effects:
+            return all_along
+        # A few seconds let a base look loose that is not.
 
     late = Decision.of(late_model)
     if not loop.logs_before:

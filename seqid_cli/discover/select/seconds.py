@@ -22,6 +22,7 @@ from dataclasses import replace
 from seqid_cli.discover.select.model import Model, PriorScale
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.results import TermResult, again
+from seqid_cli.discover.select.search import is_wide
 from seqid_cli.discover.select.terms import Term
 
 # Times the file's errors, by which the base may leave it: ten times what the evidence
@@ -90,7 +91,12 @@ def _larger(result: TermResult, results: Mapping[Term, TermResult]) -> list[Term
 def share_not_understood(
     result: TermResult, results: Mapping[Term, TermResult]
 ) -> float:
-    """Return the share of larger smooth functions in their gain and a finding's."""
+    """Return the share of larger smooth functions in their gain and a finding's.
+
+    A ripple or a line in time is finer than any smooth function: it is no part of one.
+    """
+    if is_wide(result.term):
+        return 0.0
     gain = max(result.scored.score.total, 0.0)
     of_functions = sum(
         other.scored.score.total

@@ -433,7 +433,8 @@ def motion_findings(
     fits : sequence of LinkFit
         Its IMUs, those of `follow`.
     min_delay_s, min_delay_samples : float, int
-        Delay that is worth a finding [s], and the same in samples of the log.
+        Delay that is worth a finding [s], and the same in samples of the log; also by
+        which a drift makes clocks differ from the log's start to its end.
     """
     for fit in fits:
         name = fit.imu.name
@@ -458,7 +459,9 @@ def motion_findings(
             if fit.rate:
                 text += " in the middle of the log"
             yield finding_of("imu_delay", text, name)
-        if fit.rate:
+        t = data.recording.t
+        apart_s = abs(fit.rate) * float(t[-1] - t[0])
+        if apart_s > least_s:
             text = (
                 "the clocks of IMU and encoders drift apart by"
                 f" {1e3 * fit.rate:.2g} +- {1e3 * fit.rate_error:.1g} ms/s"

@@ -101,15 +101,24 @@ ALONE = pytest.param(
 
 @pytest.mark.parametrize("logs", [["train.parquet", "holdout.parquet"], ALONE])
 def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> None:
+    """What is less probable than 0.7 is no finding, and closest to what is left."""
     found = diagnosed(XMATE, logs)
+    told = {(finding.effect, finding.joint) for finding in found.findings}
+    closest = {
+        (part.closest.effect, part.joint) for part in found.unexplained if part.closest
+    }
     # with the sensor as the measured load, others found 0.089 and 0.108
     for joint, coefficient in (("joint_2", 0.089), ("joint_4", 0.108)):
+        if ("load_dependent_friction", joint) not in told:
+            assert ("load_dependent_friction", joint) in closest
+            continue
         loss = named(found, "load_dependent_friction", joint)
         assert value(loss, "load_coefficient") == pytest.approx(coefficient, rel=0.25)
+    assert ("load_dependent_friction", "joint_2") in told
     # the motor of joint 3 tells 0.4 of its sensor's torque, by a line through both
     gain = value(named(found, "torque_constant", "joint_3"), "relative_error")
     assert gain == pytest.approx(-0.6, abs=0.25)
-    assert {f.joint for f in found.findings} == {"joint_2", "joint_3", "joint_4"}
+    assert {joint for _, joint in told | closest} >= {"joint_2", "joint_3", "joint_4"}
 
 
 def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:

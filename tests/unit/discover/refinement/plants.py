@@ -39,7 +39,8 @@ class Logs:
 
     def _simulated(self, *, held_out: bool) -> list[Recording]:
         declared = declared_plant(self.case)
-        plant = injections(self.case)[-1].plant
+        injected = injections(self.case)
+        plant = injected[-1].plant if injected else declared
         logs = []
         for number, drill in enumerate(motions(self.case)):
             if drill.held_out == held_out:

@@ -1,6 +1,5 @@
 """What whole logs say that are left out: of a term, of its rivals, and of a round."""
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,16 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import across_logs as across
 from seqid_cli.discover.refinement.across_logs import AcrossLogs, across_logs
-from seqid_cli.discover.refinement.rounds import NOT_PROVEN, refine
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, drag, selected
-from tests.unit.discover.refinement.plants import recorded
 
 SOME = ("quadratic_drag", "spring", "stribeck")
 LOSS = 0.3  # N m of friction per N m of load
@@ -141,27 +137,3 @@ def test_gain_interval_and_each_log_must_speak_for_it(
         predicted=np.array(predicted),
     )
     assert logs.is_proven(0.04) is proven
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("few_effects")
-def test_an_effect_of_one_log_is_not_added() -> None:
-    """The refusal names a log that speaks against it."""
-    clean = recorded(())
-    rubbing = recorded((("quadratic_drag", 1, 3.0),))
-    training = [
-        replace(log, path=Path(f"{number}.parquet"))
-        for number, log in enumerate([*clean.training[:2], rubbing.training[2]])
-    ]
-    file = clean.file()
-    found = refine(
-        training, clean.robot, file, earlier=clean.earlier, options=DiscoverOptions()
-    )
-    refused = [entry for entry in found.refused if entry.joint == "elbow"]
-    assert refused
-    for entry in refused:
-        assert "whole logs that were left out" in entry.reason
-        assert any(Path(name).name in entry.reason for name in entry.gain_by_log)
-    added = [entry for step in found.steps for entry in step.rounds]
-    assert not any(entry.joint == "elbow" for entry in added)
-    assert NOT_PROVEN not in found.notes

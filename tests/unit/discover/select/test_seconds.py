@@ -60,6 +60,8 @@ class Found:
     total: float
     smooth: bool
 
+    what: object = None  # no effect that is finer than smooth functions
+
     @property
     def term(self) -> "Found":
         return self

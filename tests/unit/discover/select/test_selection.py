@@ -11,7 +11,7 @@ from seqid_cli.discover.select import terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
-from seqid_cli.discover.select.selection import Selection, select
+from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.settings import EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
@@ -146,14 +146,6 @@ def test_minus_a_body_is_no_payload() -> None:
     scenes = arm_scenes(lambda scene: -payload(scene))
     found = selected(scenes, ("payload",), stages=file_of(scenes[0]))
     assert ("payload", None) not in keys(found)
-
-
-def test_a_model_is_none_of_the_others() -> None:
-    """Terms that it had before they were merged would be rivals as good as its own."""
-    scenes = arm_scenes(at_joint(0, drag), logs=1)
-    stages = file_of(scenes[0])
-    found = select(ground_of(scenes, stages), [CATALOGUE["quadratic_drag"]])
-    assert len(found.others) == 1  # with a base that is held otherwise
 
 
 @pytest.mark.parametrize("drive", [0, 1])

@@ -41,7 +41,9 @@ def holes(settings: ChannelSettings, share: float) -> bool:
     values = np.arange(10_000.0)
     rng = np.random.default_rng(0)
     values[rng.choice(np.arange(1, 9_999), round(1e4 * share), replace=False)] = np.nan
-    return bool([*missing(values, "elbow", "position", settings.max_missing)])
+    stamps = np.arange(10_000.0)
+    found = missing(values, stamps, "elbow", "position", settings.max_missing)
+    return bool([*found])
 
 
 def too_fast(settings: ChannelSettings, times: float) -> bool:
@@ -52,6 +54,7 @@ def too_fast(settings: ChannelSettings, times: float) -> bool:
         joints=SimpleNamespace(
             channels={"position": np.sin(np.linspace(0.0, 3.0, 500))[:, None]}
         ),
+        t=np.linspace(0.0, 3.0, 500),
         moves=lambda j: True,
     )
     with patch.object(positions, "top_speed", lambda *_: 2.0 * times):

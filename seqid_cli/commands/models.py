@@ -165,10 +165,9 @@ def _show_prediction(screen: Screen, file: PredictionFile) -> None:
     motion_uses = [log.motion for log in file.logs if log.motion is not None]
     show_motion(screen, motion_uses, file.robot)
 
-    cutoffs_hz = [
-        number(cutoff_hz) for cutoff_hz in sorted({log.cutoff_hz for log in file.logs})
-    ]
-    cutoffs_hz = list(dict.fromkeys(cutoffs_hz))
+    # By size; some look alike once they are rounded.
+    in_order = sorted(log.cutoff_hz for log in file.logs)
+    cutoffs_hz = dict.fromkeys(map(number, in_order))
     screen.note(
         f"cut-off: {', '.join(cutoffs_hz)} Hz, {file.cutoff_origin} (--cutoff"
         " overrides)"

@@ -85,9 +85,9 @@ def contact_point(
     # Azimuth and elevation of the direction, then the point in the link's frame.
     best = None
     for number in range(STARTS):
-        way = np.zeros(3)
-        way[number // 2] = 1.0 - 2.0 * (number % 2)
-        angles = [np.arctan2(way[1], way[0]), np.arcsin(way[2])]
+        direction = np.zeros(3)
+        direction[number // 2] = 1.0 - 2.0 * (number % 2)
+        angles = [np.arctan2(direction[1], direction[0]), np.arcsin(direction[2])]
         start = np.array([*angles, 0.0, 0.0, 0.0])
         fit = least_squares(partial(_misfit, push), start, max_nfev=40)
         if best is None or fit.cost < best.cost:
@@ -116,8 +116,8 @@ def contact_point(
 def _told(values: Array, is_determined: Mask) -> list[float | None]:
     """Return numbers (3,), None where they are not determined."""
     return [
-        float(value) if told else None
-        for value, told in zip(values, is_determined, strict=True)
+        float(value) if is_known else None
+        for value, is_known in zip(values, is_determined, strict=True)
     ]
 
 

@@ -4,6 +4,7 @@ Each says how it comes out of a whole log; exported code has the same as a state
 its update (`export.laws`), causal, one sample after the other.
 """
 
+import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -82,18 +83,27 @@ class Rate:
         return differentiate(torque, motion.rate_hz, motion.valid)[self.order - 1]
 
 
-@dataclass(frozen=True)
-class Late:
-    """The modelled torque as it was some `seconds` before; negative ones are later."""
+class _OfTorque(abc.ABC):
+    """What follows from the modelled torque of a joint over time."""
 
-    seconds: float
     takes: ClassVar[tuple[str, ...]] = ("tau",)
 
     def of_scene(
         self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
     ) -> Array:
-        """Return the late torque (N,) of a joint."""
+        """Return what is remembered (N,) of a joint."""
         return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
+
+    @abc.abstractmethod
+    def of_series(self, torque: Array, motion: Motion) -> Array:
+        """Return what is remembered (N, k) of torques (N, k) at a motion's rate."""
+
+
+@dataclass(frozen=True)
+class Late(_OfTorque):
+    """The modelled torque as it was some `seconds` before; negative ones are later."""
+
+    seconds: float
 
     def of_series(self, torque: Array, motion: Motion) -> Array:
         """Return torques (N, k) as they were `seconds` before."""
@@ -127,17 +137,10 @@ class AsLogged:
 
 
 @dataclass(frozen=True)
-class Averaged:
+class Averaged(_OfTorque):
     """Mean of the modelled torque over the last `seconds`."""
 
     seconds: float
-    takes: ClassVar[tuple[str, ...]] = ("tau",)
-
-    def of_scene(
-        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
-    ) -> Array:
-        """Return the mean torque (N,) of a joint."""
-        return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
 
     def of_series(self, torque: Array, motion: Motion) -> Array:
         """Return the running mean of torques (N, k)."""
@@ -145,17 +148,10 @@ class Averaged:
 
 
 @dataclass(frozen=True)
-class Lagged:
+class Lagged(_OfTorque):
     """The modelled torque after a first-order low-pass of time constant `seconds`."""
 
     seconds: float
-    takes: ClassVar[tuple[str, ...]] = ("tau",)
-
-    def of_scene(
-        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
-    ) -> Array:
-        """Return the low-passed torque (N,) of a joint."""
-        return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
 
     def of_series(self, torque: Array, motion: Motion) -> Array:
         """Return low-passed torques (N, k)."""

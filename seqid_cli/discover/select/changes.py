@@ -65,10 +65,7 @@ class ValueChange:
 
 def held_to_file(model: Model, terms: Sequence[Term]) -> Model:
     """Fit a model with some terms whose base leaves the file by its errors only."""
-    held = Model(model.ground, model.hold.capped(MOST_ERRORS))
-    held.terms = list(terms)
-    held.settle()
-    return held
+    return model.held_otherwise(model.hold.capped(MOST_ERRORS), terms)
 
 
 def value_changes(

@@ -326,6 +326,13 @@ class Model:
         if candidates:
             self.add(candidates)
 
+    def held_otherwise(self, hold: PriorScale, terms: Sequence[Term]) -> Model:
+        """Fit another model of the same problem, with some terms and another hold."""
+        other = Model(self.ground, hold)
+        other.terms = list(terms)
+        other.settle()
+        return other
+
     # ---- fitting
 
     def settle(self) -> None:

@@ -57,9 +57,7 @@ def worth_beside_larger(
     if not smaller:
         return judged
 
-    loose = Model(model.ground, LOOSE)
-    loose.terms = list(model.terms)
-    loose.settle()
+    loose = model.held_otherwise(LOOSE, model.terms)
     for term in smaller:
         score = again(term, loose).score
         evidence = min(results[term].evidence, score.total)

@@ -29,10 +29,12 @@ from seqid_cli.identify.settings import (
     PredictSettings,
     SimultaneousSettings,
 )
+from seqid_cli.identify.surfaces import FrictionValues, friction_values
 
 __all__ = [
     "FrictionOptions",
     "FrictionSettings",
+    "FrictionValues",
     "GravitySettings",
     "ImuCalibSettings",
     "InertiaSettings",
@@ -44,6 +46,7 @@ __all__ = [
     "SimultaneousOptions",
     "SimultaneousSettings",
     "friction",
+    "friction_values",
     "gravity",
     "imu_calib",
     "inertia",

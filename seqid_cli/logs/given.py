@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
@@ -15,6 +15,7 @@ from seqid_cli.logs.storage.remote import TableLog
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
+    from seqid_cli.typing import Array
 
 
 class ArrowTable(Protocol):
@@ -26,7 +27,8 @@ class ArrowTable(Protocol):
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 Paths: TypeAlias = "PathLike | Sequence[PathLike]"
-Log: TypeAlias = "PathLike | Recording | ArrowTable"
+Arrays: TypeAlias = "Mapping[str, Sequence[float] | Array]"
+Log: TypeAlias = "PathLike | Recording | ArrowTable | Arrays"
 Logs: TypeAlias = "Log | Sequence[Log]"
 
 

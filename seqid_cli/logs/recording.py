@@ -123,7 +123,7 @@ class UniformLog(Protocol):
         """Hold pieces of the log, with all channels; see `cut`."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Recording:
     """One log, or a piece of one, on one time base; None for channels that it lacks."""
 
@@ -146,6 +146,15 @@ class Recording:
     partial: str = ""  # what was lost, where the log was salvaged
     source_log: Whole | None = None  # the log, where this is a piece of it
     bridged: Mask | None = None  # (N,) not measured, but known from both sides
+
+    def __repr__(self) -> str:
+        """Return one line: arrays of a log fill a screen and say nothing."""
+        imus = "".join(f", {name}" for name in self.accelerometers)
+        return (
+            f"<Recording {self.path.name}: {self.samples} samples of"
+            f" {self.q.shape[1]} joints{imus}, {self.length:.4g} s at"
+            f" {self.rate_hz:.4g} Hz>"
+        )
 
     @property
     def rate_hz(self) -> float:

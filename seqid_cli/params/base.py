@@ -1,15 +1,20 @@
-"""Base of all documents: strict structures, and how a notebook shows them.
+"""Base of all documents: strict structures, and how Python and notebooks show them.
 
 Whatever a document holds is laid out by its own shape: structures that lie in a list or
 by name in a dictionary as the rows of one table, other values by their names. Long
 lists are counted.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _MOST_ROWS = 60
 _MOST_VALUES = 6  # in one cell
@@ -36,7 +41,26 @@ class Struct(
 
 
 class Document(Struct):
-    """A structure that a notebook shows as tables."""
+    """A whole document: one line in a shell, tables in a notebook or as Arrow."""
+
+    def tables(self) -> dict[str, pa.Table]:
+        """Return the content as Arrow tables by place; see `tables_of`."""
+        from seqid_cli.params.tables import tables_of
+
+        return tables_of(self)
+
+    def __repr__(self) -> str:
+        """Return one line: the kind of document and what it is about."""
+        gist = ", ".join(self._gist())
+        return (
+            f"<{type(self).__name__}: {gist}>" if gist else f"<{type(self).__name__}>"
+        )
+
+    def _gist(self) -> list[str]:
+        """Return what a line says of the document: robot and verdict, if it has any."""
+        robot_name = getattr(getattr(self, "robot", None), "name", None)
+        verdict = getattr(self, "verdict", None)
+        return [text for text in (robot_name, verdict) if isinstance(text, str)]
 
     def _repr_html_(self) -> str:
         """Return the content as tables."""

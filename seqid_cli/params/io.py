@@ -13,12 +13,15 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.check import check_consistency
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
+from seqid_cli.params.results.comparison import ComparisonFile
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.export import ExportFile
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.trend import TrendFile
-from seqid_cli.params.schema import OfRobot, ParameterFile
+from seqid_cli.params.schema import OfRobot, ParameterFile, Written
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
@@ -32,13 +35,16 @@ PARAMS_VERSION = 1  # newest; of the other kinds there is one version
 # Functions that turn a document of an older version into one of the next. Version 1 is
 # the oldest.
 PARAMS_MIGRATIONS: Mapping[int, Callable[[Json], Json]] = {}
-_KINDS: Mapping[str, type[Document | TrendFile]] = {
+_KINDS: Mapping[str, type[Written]] = {
     "params": ParameterFile,
     "prediction": PredictionFile,
     "diagnosis": DiagnosisFile,
     "payload": PayloadFile,
     "plan": PlanFile,
     "trend": TrendFile,
+    "inspection": InspectionFile,
+    "comparison": ComparisonFile,
+    "export": ExportFile,
 }
 _OF_ROBOT = ("params", "prediction", "diagnosis", "payload", "plan")
 _PARAMETER_HINT = "-p takes a JSON file that seqid wrote with -o."
@@ -74,6 +80,18 @@ def read_parameters(path: Path) -> ParameterFile:
     """
     _, content = _read(path, ["params"], _PARAMETER_HINT)
     return cast(ParameterFile, content)
+
+
+def read_document(path: Path) -> Written:
+    """Read a document of any kind, strictly.
+
+    Raises
+    ------
+    ConfigError
+        As `read_parameters` does; the message names the file and the key.
+    """
+    _, content = _read(path, list(_KINDS), _RESULT_HINT)
+    return cast(Written, content)
 
 
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:

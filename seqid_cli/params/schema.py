@@ -533,3 +533,9 @@ class ParameterFile(OfRobot, kw_only=True, omit_defaults=True):
     inputs: list[InputLog]
     stages: Stages
     closed_loop: ClosedLoop | None = None
+
+    def _gist(self) -> list[str]:
+        """Return the robot and the stages that the file has."""
+        names = Stages.__struct_fields__
+        present = [name for name in names if getattr(self.stages, name) is not None]
+        return [self.robot.name, *present]

@@ -107,7 +107,7 @@ class OwnEffect:
     settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A robot file, read and checked, with its URDF, if it names one."""
 
@@ -131,6 +131,10 @@ class Robot:
     geometry_error_m: float = 0.0
     geometry_error_rad: float = 0.0
     locked: tuple[LockedJoint, ...] = ()  # of the URDF's chain up to the last joint
+
+    def __repr__(self) -> str:
+        """Return one line: the robot's name and its joints."""
+        return f"<Robot {self.name}: {', '.join(self.joint_names)}>"
 
     @property
     def n(self) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -20,6 +21,10 @@ from seqid_cli.commands.app import COMMANDS, run
 from seqid_cli.errors import ConfigError, InputError, SeqidWarning, UsageError
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.read import read_recording
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.encode import encode
+from seqid_cli.params.io import read_parameters
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
@@ -202,3 +207,86 @@ def test_documents_show_themselves_and_plots_are_the_reports_drawings() -> None:
     assert len(report.plot_evidence(found).svg) == sum(
         part.evidence is not None for part in parts
     )
+
+
+def test_both_names_are_one_package() -> None:
+    """Classes of both are the same, and completion shows what there is."""
+    import seqid
+
+    assert seqid.identify is identify
+    assert seqid.__version__ == seqid_cli.__version__
+    assert {"load", "table", "identify", "plan"} <= set(dir(seqid))
+    assert dir(seqid) == dir(seqid_cli)
+    with pytest.raises(AttributeError, match="no attribute 'identity'"):
+        _ = seqid.identity
+
+
+def test_load_reads_documents_and_robots(tmp_path: Path) -> None:
+    assert seqid_cli.load(GOLDEN) == read_parameters(GOLDEN)
+    assert seqid_cli.load(str(ROBOT)).joint_names == ("joint_1",)
+    path = tmp_path / "inspection.json"
+    inspect.inspect(SAMPLES / "friction", ROBOT, output=path)
+    inspection = seqid_cli.load(path)
+    assert isinstance(inspection, InspectionFile)
+    assert encode(inspection) == path.read_text()
+    with pytest.raises(ConfigError, match="nowhere"):
+        seqid_cli.load("nowhere.json")
+
+
+def test_a_shell_shows_one_line() -> None:
+    document, robot = seqid_cli.load(GOLDEN), seqid_cli.load(ROBOT)
+    (path,) = (SAMPLES / "friction").glob("*.parquet")
+    log = read_recording(path, robot)
+    assert (
+        repr(document) == "<ParameterFile: one_joint, friction, gravity, imu, inertia>"
+    )
+    assert repr(robot) == "<Robot one_joint: joint_1>"
+    assert repr(log).startswith("<Recording joint_1.parquet: ")
+    assert max(len(repr(shown)) for shown in (document, robot, log)) < 120
+
+
+def test_documents_are_tables() -> None:
+    """Lists are tables by their place; structures by name have their name in `key`."""
+    document = seqid_cli.load(GOLDEN)
+    tables = document.tables()
+    parameters = tables["stages.inertia.parameters"]
+    assert parameters["value"].to_pylist() == [
+        parameter.value for parameter in document.stages.inertia.parameters
+    ]
+    assert tables["stages.friction.joints"]["key"].to_pylist() == ["joint_1"]
+    speeds = tables["stages.friction.joints.joint_1.speeds"]
+    assert speeds["speed"].to_pylist() == [
+        level.speed for level in document.stages.friction.joints["joint_1"].speeds
+    ]
+
+
+def test_a_log_is_a_table_and_back() -> None:
+    """The table of a log is a log itself, and so is a dictionary of its arrays."""
+    (path,) = (SAMPLES / "friction").glob("*.parquet")
+    table = seqid_cli.table(path, ROBOT)
+    robot = load_robot(ROBOT)
+    recording = read_recording(path, robot)
+    assert table["joint_1.position"].to_numpy() == pytest.approx(recording.q[:, 0])
+    again = seqid_cli.table(table.drop_columns(["valid"]), ROBOT)
+    for name in ("t", "joint_1.position", "joint_1.torque"):
+        assert again[name].to_numpy() == pytest.approx(table[name].to_numpy(), abs=1e-9)
+    arrays = {name: table[name].to_numpy() for name in table.column_names[:1]}
+    arrays |= {
+        "joint_1.position": recording.q[:, 0],
+        "joint_1.torque": recording.tau[:, 0],
+    }
+    assert seqid_cli.table(arrays, ROBOT).num_rows == table.num_rows
+
+
+def test_friction_as_arrays(friction: ParameterFile) -> None:
+    joint = friction.stages.friction.joints["joint_1"]
+    speed = np.linspace(joint.speed_range[0], joint.speed_range[1], 5)
+    position = np.array([[0.0], [0.2]])
+    values = identify.friction_values(friction, "joint_1", position, speed)
+    surface = FrictionSurface.from_stage(joint)
+    assert values.torque.shape == (2, 5)
+    assert values.torque[1] == pytest.approx(surface.torque(np.full(5, 0.2), speed))
+    assert (values.std_error > 0.0).all()
+    assert not values.outside.any()
+    with pytest.raises(UsageError, match="no friction of 'elbow'"):
+        identify.friction_values(friction, "elbow", 0.0, 1.0)

@@ -24,7 +24,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -132,12 +132,15 @@ class TableLog(StoredLog):
         try:
             if hasattr(data, "__arrow_c_stream__"):
                 log.content = pa.table(data)
+            elif isinstance(data, Mapping):
+                log.content = pa.table({str(name): data[name] for name in data})
             else:
                 log.content = pa.Table.from_pandas(data)
         except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
             raise InputError(
                 f"{type(data).__name__} is no log ({error})",
-                hint="Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording.",
+                hint="Give a path, a pyarrow.Table, a pandas.DataFrame, a dict of"
+                " arrays by column, or a Recording.",
             ) from error
         return log
 

@@ -25,7 +25,7 @@ ERRORS: Mapping[str, str] = {
     "values_absurd": (
         "Look at the driver of the channel; the values were taken as missing."
     ),
-    "time_unit": "Write time in seconds, or as a timestamp column.",
+    "time_unit": 'Write time_unit = "ms" (or us, ns) under [channels], or log seconds.',
     "clock_set_back": "Use --time log, or split the log there.",
     "position_in_degrees": 'Write unit = "deg" under [channels] of the robot file.',
     "position_in_mm": 'Write length_unit = "mm" under [channels] of the robot file.',

@@ -13,13 +13,12 @@ from seqid_cli.logs.contents import LogContents
 from seqid_cli.logs.tables.naming_schemes import (
     COMMANDED,
     MEASURED,
-    column_name,
     joints_by_scheme,
 )
 from seqid_cli.logs.tables.naming_schemes import WORDS as WORDS  # as others import it
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.toml import MOST_JOINTS
-from seqid_cli.robot.toml_schema import Channels, Columns
+from seqid_cli.robot.toml_schema import Channels, Columns, column_name
 from seqid_cli.robot.types import Imu, Joint, Robot
 
 _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
@@ -41,6 +40,7 @@ class Guess:
     imus: tuple[Imu, ...] = ()
     unit: Literal["rad", "deg"] = "rad"
     length_unit: Literal["m", "mm"] = "m"
+    topic: str | None = None  # of the joint states, where it is not the usual one
 
 
 def guess(contents: LogContents) -> Guess:
@@ -52,7 +52,12 @@ def guess(contents: LogContents) -> Guess:
         joint for joint, dot, quantity in ends if dot and quantity == "position"
     )
     if defaults or not joints:
-        return Guess(joints=defaults or contents.joints, patterns={}, imus=imus)
+        return Guess(
+            joints=defaults or contents.joints,
+            patterns={},
+            imus=imus,
+            topic=next(iter(contents.state_topics), None),
+        )
     positions = patterns["position"]
     text = positions if isinstance(positions, str) else " ".join(map(str, positions))
     words = {*_letters(text), *re.findall("°", text)}
@@ -277,5 +282,9 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         sha256="",
         source=source,
         imus=guessed.imus,
-        channels=Channels(**guessed.patterns, unit=guessed.unit),  # type: ignore[arg-type]
+        channels=Channels(
+            **guessed.patterns,  # type: ignore[arg-type]
+            unit=guessed.unit,
+            topic=guessed.topic,
+        ),
     )

@@ -1,7 +1,7 @@
 """Inspection of logs, each by itself and the set of them: logs in, the document out."""
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -166,7 +166,7 @@ def inspect_log(
     # or where it does not fit, joints are guessed.
     if inspected is None:
         guessed = guess(contents)
-        findings = []
+        findings = [*_topic_findings(contents)]
         if robot is not None and problem is not None:
             missing, findings = _why_it_does_not_fit(robot, guessed, problem)
         try:
@@ -276,6 +276,20 @@ def _inspect_guessed(
             findings.append(finding_of("torque_missing", text, name))
         robot = stand_in(replace(guessed, joints=driven), source=reader.path)
         return reader.inspect(robot, findings, modelled=False)
+
+
+def _topic_findings(contents: LogContents) -> Iterator[InspectionFinding]:
+    """Say from which topic joint states are read that none carries for sure."""
+    if not contents.state_topics:
+        return
+    topic, *others = contents.state_topics
+    text = f"no topic carries joint states for sure; they are read from {topic}"
+    if others:
+        text += f", not from {', '.join(others)}"
+    yield structs.replace(
+        finding_of("reader", text, channel=topic),
+        remedy=f'Say which it is in the robot file: [channels] topic = "{topic}".',
+    )
 
 
 def _no_joints(path: Path, names: Sequence[str]) -> InputError:

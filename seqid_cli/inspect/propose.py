@@ -17,11 +17,11 @@ from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.inspect.parts import Inspected
 from seqid_cli.logs.contents import LogContents, contents_of
-from seqid_cli.logs.tables.naming_schemes import column_name, find_scheme, time_names
+from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.template import JointTemplate, RobotTemplate
-from seqid_cli.robot.toml_schema import Columns
+from seqid_cli.robot.toml_schema import Columns, column_name
 from seqid_cli.robot.urdf import UrdfJoint, UrdfText, best_chain
 
 # Words that names of joints have around what tells them apart.
@@ -134,7 +134,30 @@ def _units(guessed: Guess, reports: Sequence[Inspected]) -> dict[str, str]:
         units["unit"] = "deg"
     if guessed.length_unit == "mm":
         units["length_unit"] = "mm"
+    if "time_unit" in codes:
+        unit = _time_unit(reports[0].log.rate_hz or 0.0)
+        if unit:
+            units["time_unit"] = unit
     return units
+
+
+def _time_unit(
+    rate_hz: float, *, slowest_hz: float = 5.0, fastest_hz: float = 50_000.0
+) -> str:
+    """Return the unit of times that give a rate as seconds; empty where none fits.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second, times taken for seconds.
+    slowest_hz, fastest_hz : float
+        Rates at which robots are recorded.
+    """
+    for unit in ("ms", "us", "ns"):
+        rate_hz *= 1000.0
+        if slowest_hz <= rate_hz <= fastest_hz:
+            return unit
+    return ""
 
 
 def _effort(contents: LogContents, inspected: Mapping[str, InspectedJoint]) -> str:
@@ -210,7 +233,7 @@ def match_names(
 ) -> dict[str, str]:
     """Pair names of a log with those of a URDF, one to one.
 
-    Equal names come first, then the nearest.
+    Equal names come first, then those behind one prefix, then the nearest.
 
     Parameters
     ----------
@@ -224,7 +247,7 @@ def match_names(
     dict of str to str
         Names of the URDF by those of the log.
     """
-    pairs = {name: name for name in log if name in urdf}
+    pairs = {name: name for name in log if name in urdf} or _behind_prefix(log, urdf)
     log_names = [name for name in log if name not in pairs]
     urdf_names = [name for name in urdf if name not in pairs.values()]
 
@@ -239,6 +262,20 @@ def match_names(
         if -negative_likeness >= near and is_free:
             pairs[log[i]] = urdf[j]
     return pairs
+
+
+def _behind_prefix(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
+    """Pair names of a log that are those of a URDF behind the prefix of most of them.
+
+    Of two arms, whose prefixes have as many, the first in the log counts.
+    """
+    pairs_by_prefix: dict[str, dict[str, str]] = {}
+    for log_name in log:
+        for urdf_name in urdf:
+            if log_name.endswith(urdf_name):
+                prefix = log_name.removesuffix(urdf_name)
+                pairs_by_prefix.setdefault(prefix, {})[log_name] = urdf_name
+    return max(pairs_by_prefix.values(), key=len, default={})
 
 
 def _likeness(a: str, b: str) -> float:
@@ -342,15 +379,7 @@ def _channels(
     `log` are the names of the joints in the log, `joints` those in the robot file.
     """
     if not contents.columns:
-        # Messages name their joints; nothing maps these.
-        renamed = [f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b]
-        if not renamed:
-            return {}, []
-        todo = (
-            "the log's joints have other names: rename them in a copy of the URDF"
-            f" ({', '.join(renamed)})"
-        )
-        return {}, [todo]
+        return _channels_of_messages(contents, log, joints)
 
     columns = contents.columns
     channels: dict[str, Columns] = {}
@@ -374,6 +403,34 @@ def _channels(
         if quantity not in by_scheme:
             channels[quantity] = _mapped(pattern, log, joints)
     return channels, []
+
+
+def _channels_of_messages(
+    contents: LogContents, log: Sequence[str], joints: Sequence[str]
+) -> tuple[dict[str, Columns], list[str]]:
+    """Return topic and names of joints as messages have them, and what is to check."""
+    channels: dict[str, Columns] = {}
+    todo = []
+    if contents.state_topics:
+        topic, *others = contents.state_topics
+        channels["topic"] = topic
+        todo.append(f"check topic under [channels]: joints are read from {topic}")
+        if others:
+            todo[-1] += f"; this robot's states may be on {', '.join(others)}"
+    if list(log) == list(joints):
+        return channels, todo
+
+    prefix = log[0].removesuffix(joints[0])
+    if list(log) == [prefix + joint for joint in joints]:
+        channels["prefix"] = prefix
+        return channels, todo
+    channels["names"] = tuple(log)
+    renamed = [f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b]
+    todo.append(
+        "check names under [channels]: the log's joints have other names than the"
+        f" URDF's ({', '.join(renamed)})"
+    )
+    return channels, todo
 
 
 def _mapped(pattern: Columns, log: Sequence[str], joints: Sequence[str]) -> Columns:
@@ -405,6 +462,9 @@ def _todo(
     """Yield what is left to the user."""
     if "unit" in template.channels:
         yield 'check unit = "deg" under [channels]: the angles look like degrees'
+    if "time_unit" in template.channels:
+        unit = template.channels["time_unit"]
+        yield f'check time_unit = "{unit}" under [channels]: by the rate of the samples'
     if "length_unit" in template.channels:
         yield 'check length_unit = "mm" under [channels]: positions are called so'
 

@@ -5,7 +5,7 @@ and motion are compared with each other in some pieces of it, so that memory doe
 grow with the log.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seqid_cli.errors import InputError
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
@@ -88,13 +89,25 @@ def read_screened(
     Returns
     -------
     Screened
-        The log without damaged samples, and the findings. Errors are those of
-        `read_recording`.
+        The log without damaged samples, and the findings.
+
+    Raises
+    ------
+    InputError
+        As `read_recording`, or its time is in another unit.
     """
     recording, raw = read_both(path, robot, time_source=time_source)
     data = LogData(recording=recording, raw=raw, robot=robot, settings=settings)
     checked, findings, _ = check(data, imus=imus, quality=False)
+    _refuse_other_time(findings, path)
     return Screened(checked.recording, located(findings, data.recording.path))
+
+
+def _refuse_other_time(findings: Sequence[InspectionFinding], path: Path) -> None:
+    """Raise InputError where time is in another unit: no speed is right then."""
+    for finding in findings:
+        if finding.code == "time_unit":
+            raise InputError(finding.message, hint=finding.remedy, where=str(path))
 
 
 def open_screened(
@@ -174,6 +187,7 @@ def screened_long(
         recording, raw = _as_recording(piece, log, first_block, warnings)
         data = LogData(recording=recording, raw=raw, robot=robot)
         findings += check(data, imus=False, quality=False)[1]
+        _refuse_other_time(findings, log.path)
         warnings = ()  # they are the log's, and reported once
     first_of_each = [group[0] for group in grouped(findings)]
     bridged = replace(log, bridges=tuple(breaks.bridges))

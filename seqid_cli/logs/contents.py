@@ -22,6 +22,8 @@ class LogContents:
     channels: tuple[str, ...]  # columns of a table, or topics
     joints: tuple[str, ...]  # that messages or a LeRobot data set name, in its order
     columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
+    # that may carry joint states, where none does for sure; the first has `joints`
+    state_topics: tuple[str, ...] = ()
 
 
 def contents_of(path: Path) -> LogContents:
@@ -38,8 +40,13 @@ def contents_of(path: Path) -> LogContents:
         return LogContents(kind, channels, _lerobot_joints(file, columns), columns)
 
     list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
-    topics, joints = list_topics(file)
-    return LogContents(kind, tuple(topic.topic for topic in topics), joints)
+    contents = list_topics(file)
+    return LogContents(
+        kind,
+        tuple(topic.topic for topic in contents.topics),
+        contents.joints,
+        state_topics=contents.state_topics,
+    )
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:

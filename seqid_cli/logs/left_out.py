@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.log_file import LogFile
@@ -17,8 +18,9 @@ from seqid_cli.logs.publishers import second_publisher
 from seqid_cli.logs.raw import Stamps, Stream
 from seqid_cli.logs.read import without_absurd
 from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.logs.tables.naming_schemes import QUANTITIES
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.toml_schema import Channels, Columns
+from seqid_cli.robot.toml_schema import Columns
 from seqid_cli.robot.types import LockedJoint, Robot
 from seqid_cli.typing import Mask
 
@@ -154,18 +156,21 @@ class _ArmSamples:
 def _alone(joint: LockedJoint, robot: Robot) -> Robot:
     """Return a robot of one left-out joint, which a log holds by its name if at all."""
     # A log's other channels are those of the joints in the robot file: columns by
-    # number are theirs, and a unit holds for all.
-    pattern: Columns | None = None
-    declared = robot.channels.position
-    if isinstance(declared, str) and "{name}" in declared:
-        pattern = declared
-    channels = Channels(
-        time=robot.channels.time,
-        position=pattern,
-        unit=robot.channels.unit,
-        length_unit=robot.channels.length_unit,
+    # number are theirs. What holds for the log as a whole holds for this joint.
+    channels = structs.replace(
+        robot.channels,
+        position=_by_name(robot.channels.position),
+        names=_by_name(robot.channels.names),
+        **dict.fromkeys(QUANTITIES[1:]),
+        effort=None,
     )
     return replace(robot, joints=(joint.joint,), imus=(), effects=(), channels=channels)
+
+
+def _by_name(pattern: Columns | None) -> Columns | None:
+    """Return a pattern with {name}, which holds for other joints; None for others."""
+    is_general = isinstance(pattern, str) and "{name}" in pattern
+    return pattern if is_general else None
 
 
 def _blocks_of(path: Path, robot: Robot) -> Iterator[Stream]:

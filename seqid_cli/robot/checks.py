@@ -14,9 +14,27 @@ from typing import Any, NamedTuple
 import msgspec
 
 from seqid_cli.robot import formula
-from seqid_cli.robot.toml_schema import EffectEntry, ImuEntry, JointEntry, RobotFile
+from seqid_cli.robot.toml_schema import (
+    EffectEntry,
+    ImuEntry,
+    Interfaces,
+    JointEntry,
+    RobotFile,
+)
 
-_OF_THE_LOG = ("time", "effort", "unit", "length_unit")  # not of each joint
+# Keys of [channels] that are of the log as a whole, not of each joint.
+_OF_THE_LOG = (
+    "time",
+    "time_unit",
+    "topic",
+    "namespace",
+    "interface",
+    "prefix",
+    "effort",
+    "unit",
+    "length_unit",
+)
+_NAMES = ("topic", "namespace", "prefix")  # of these, names as logs have them
 # In SI units: of any constant of a drive, of any number.
 SMALLEST, LARGEST = 1e-12, 1e9
 LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
@@ -248,6 +266,16 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
     channels = robot.channels
     if channels.time is not None:
         yield from _text("channels.time", str(channels.time))
+    for key in _NAMES:
+        if getattr(channels, key) is not None:
+            yield from _text(f"channels.{key}", getattr(channels, key))
+    if channels.prefix is not None and channels.names is not None:
+        yield Problem(
+            "channels.prefix and channels.names both say how the log names joints",
+            "Leave one of them out.",
+        )
+    if channels.interface is not None:
+        yield from _interface(channels.interface)
     for quantity in channels.__struct_fields__:
         key = f"channels.{quantity}"
         names = getattr(channels, quantity)
@@ -264,6 +292,20 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
                 f"{key} names {n_different} columns for {len(robot.joint)} joints",
                 "List one column for each joint, in the order of the [[joint]] tables.",
             )
+
+
+def _interface(interface: Interfaces) -> Iterator[Problem]:
+    """Yield names of interfaces that are none, or two for one effort."""
+    for quantity in interface.__struct_fields__:
+        if getattr(interface, quantity) is not None:
+            yield from _text(
+                f"channels.interface.{quantity}", getattr(interface, quantity)
+            )
+    if interface.torque is not None and interface.current is not None:
+        yield Problem(
+            "channels.interface names both a torque and a current",
+            "Leave one of them out: torque where both are measured.",
+        )
 
 
 def _pattern(key: str, pattern: str, n_joints: int) -> Iterator[Problem]:
@@ -297,6 +339,8 @@ def _missing_drive_data(robot: RobotFile) -> Iterator[Problem]:
     }
     if channels.effort == "current":
         kind_by_source["channels.effort"] = "current"
+    if channels.interface is not None and channels.interface.current is not None:
+        kind_by_source["channels.interface.current"] = "current"
     for source, kind in kind_by_source.items():
         for k, joint in enumerate(robot.joint):
             for name in _NEEDED[kind]:

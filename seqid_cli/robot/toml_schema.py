@@ -117,11 +117,61 @@ class ImuEntry(Table, frozen=True):
     gyro: Annotated[bool, Meta(description="whether it has a gyro")] = False
 
 
+class Interfaces(Table, frozen=True):
+    """`interface`: names that a driver gives the values of a DynamicJointState."""
+
+    position: Annotated[str | None, Meta(description="usually 'position'")] = None
+    velocity: Annotated[str | None, Meta(description="usually 'velocity'")] = None
+    torque: Annotated[
+        str | None, Meta(description="usually 'effort' or 'torque' [N m at the joint]")
+    ] = None
+    current: Annotated[
+        str | None, Meta(description="in place of torque [A on the motor side]")
+    ] = None
+
+
 class Channels(Table, frozen=True):
     """`[channels]`: names that a log uses; None means the default."""
 
+    topic: Annotated[
+        str | None,
+        Meta(
+            description="topic of the joint states in MCAP files and bags, such as"
+            " '/left/joint_states'"
+        ),
+    ] = None
+    namespace: Annotated[
+        str | None,
+        Meta(
+            description="what stands before all topics of this robot, such as '/left',"
+            " where a bag holds several robots"
+        ),
+    ] = None
+    interface: Annotated[
+        Interfaces | None,
+        Meta(description="which values of a DynamicJointState are which quantity"),
+    ] = None
+    prefix: Annotated[
+        str | None,
+        Meta(description="what stands before the joints' names in the log: 'left_'"),
+    ] = None
+    names: Annotated[
+        Columns | None,
+        Meta(
+            description="the joints' names in the log, in the order of the joints, or a"
+            " pattern such as 'arm_{index}'; the robot file's where it is left out"
+        ),
+    ] = None
+
     time: Annotated[
         str | int | None, Meta(description="column of the time, by name or number")
+    ] = None
+    time_unit: Annotated[
+        Literal["s", "ms", "us", "ns"] | None,
+        Meta(
+            description="unit of numbers in the column of the time; as its name says,"
+            " or s, where it is left out"
+        ),
     ] = None
     position: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     velocity: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
@@ -140,6 +190,13 @@ class Channels(Table, frozen=True):
     length_unit: Annotated[
         Literal["m", "mm"], Meta(description="unit of sliding joints' positions")
     ] = "m"
+
+    @property
+    def effort_is_current(self) -> bool:
+        """True where the effort of a message is motor current [A]."""
+        return self.effort == "current" or (
+            self.interface is not None and self.interface.current is not None
+        )
 
 
 class EffectEntry(Table, frozen=True):
@@ -203,5 +260,17 @@ TABLES: dict[str, type[Table]] = {  # by their keys in the document
     "imu": ImuEntry,
     "imu.accelerometers": AccelerometerEntry,
     "channels": Channels,
+    "channels.interface": Interfaces,
     "effect": EffectEntry,
 }
+
+
+def column_name(pattern: Columns, joint: str, index0: int) -> str:
+    """Fill a pattern with a joint's name and place, or look up its column in a list.
+
+    In a pattern {name}, {index} (from 1) and {index0} (from 0) are replaced.
+    """
+    if not isinstance(pattern, str):
+        return str(pattern[index0])
+    numbered = pattern.replace("{index0}", str(index0))
+    return numbered.replace("{index}", str(index0 + 1)).replace("{name}", joint)

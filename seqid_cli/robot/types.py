@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from seqid_cli.robot.formula import Formula
-from seqid_cli.robot.toml_schema import Channels
+from seqid_cli.robot.toml_schema import Channels, column_name
 from seqid_cli.robot.urdf import UrdfJoint
 from seqid_cli.typing import Array as Array
 from seqid_cli.typing import Mask
@@ -140,6 +140,14 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def log_names(self) -> tuple[str, ...]:
+        """Joint names in chain order as logs have them."""
+        pattern = self.channels.names or f"{self.channels.prefix or ''}{{name}}"
+        return tuple(
+            column_name(pattern, name, k) for k, name in enumerate(self.joint_names)
+        )
 
     @property
     def torque_constant_errors(self) -> Array:

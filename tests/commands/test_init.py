@@ -361,3 +361,63 @@ def test_a_gripper_on_the_same_topic_is_left_out(start: Start) -> None:
     said = start.init("log.mcap", *WORDS)
     assert "to do: the log has neither torque nor current of finger: left out" in said
     assert load_robot(start.file).joint_names == SIX
+
+
+def bag(start: Start, *topics: str, names: Mapping[str, str] = {}) -> None:
+    """Write the sample log as joint states on some topics, joints renamed."""
+    columns = read_columns(LOG)
+    q, tau = (
+        np.column_stack([columns[f"{joint}.{quantity}"] for joint in SIX])
+        for quantity in ("position", "current")
+    )
+    stamps = 1_700_000_000_000_000_000 + np.rint(columns["t"] * 1e9).astype(np.int64)
+    joints = [names.get(joint, joint) for joint in SIX]
+    messages = []
+    for topic in topics:
+        messages += joint_messages(stamps, joints, q, effort=tau, topic=topic)
+    write_messages(start.rig.folder / "log.mcap", messages, encoding="cdr")
+
+
+def test_a_namespaced_topic_is_written_and_to_be_checked(start: Start) -> None:
+    bag(start, "/arm/cmd_joint_states", "/right/joint_states", "/left/joint_states")
+    said = start.init("log.mcap", *WORDS)
+    assert "joints are read from /left/joint_states; this robot's states may" in said
+    assert "on /right/joint_states, /arm/cmd_joint_states" in said
+    assert start.document["channels"] == {"topic": "/left/joint_states"}
+    read_recording(start.rig.folder / "log.mcap", load_robot(start.file))
+
+
+def test_a_prefix_in_the_log_is_written(start: Start) -> None:
+    names = {joint: f"UR2024_{joint}" for joint in SIX}
+    bag(start, "/joint_states", names=names)
+    start.init("log.mcap", *WORDS)
+    assert start.document["channels"] == {"prefix": "UR2024_"}
+    robot = load_robot(start.file)
+    assert robot.joint_names == SIX
+    read_recording(start.rig.folder / "log.mcap", robot)
+
+
+def test_other_names_in_the_log_are_listed(start: Start) -> None:
+    names = {joint: f"motor_{k + 1}" for k, joint in enumerate(SIX)}
+    bag(start, "/joint_states", names=names)
+    said = start.init("log.mcap", *WORDS)
+    assert "check names under [channels]" in said
+    assert start.document["channels"] == {"names": list(names.values())}
+    read_recording(start.rig.folder / "log.mcap", load_robot(start.file))
+
+
+def test_time_in_ms_without_a_unit_is_told_by_the_rate(start: Start) -> None:
+    columns = read_columns(LOG)
+    columns["time"] = columns.pop("t") * 1000.0
+    columns = {name: x for name, x in columns.items() if "imu" not in name}
+    write_columns(start.rig.folder / "log.parquet", columns)
+    said = start.init()
+    assert 'check time_unit = "ms" under [channels]' in said
+    recording = read_recording(start.rig.folder / "log.parquet", start.robot())
+    assert recording.rate_hz == pytest.approx(250.0)
+    without = start.file.read_text().replace('time_unit = "ms"\n', "")
+    start.file.write_text(without)
+    refused = start.rig.run("simultaneous", "log.parquet", "-r", start.file.name)
+    assert refused.code == 2
+    assert "the time column is not in seconds" in refused.err
+    assert 'time_unit = "ms"' in refused.err

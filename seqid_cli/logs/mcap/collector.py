@@ -7,7 +7,7 @@ import numpy as np
 
 from seqid_cli.logs.mcap.records import Batch
 from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads
-from seqid_cli.logs.messages.parsers import decoder
+from seqid_cli.logs.messages.parsers import decoder, kind_of
 from seqid_cli.logs.raw import Stamps, TimeSource
 from seqid_cli.typing import Array
 
@@ -61,7 +61,8 @@ class Collector:
         number = batch.channel.id
         if number not in self._decoders:
             encoding = batch.channel.message_encoding
-            decode = decoder(encoding, batch.schema, self.kind, self.names)
+            kind = kind_of(batch.schema, self.kind)
+            decode = decoder(encoding, batch.schema, kind, self.names)
             self._decoders[number] = decode
             if decode is None:
                 self.refused.add(encoding)

@@ -1,7 +1,7 @@
 """MCAP logs: a pass over a file, and the messages of some topics block by block."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,16 +9,19 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.collector import Collector
 from seqid_cli.logs.mcap.records import Scan
 from seqid_cli.logs.mcap.topics import (
-    JOINT_STATES,
     any_finite,
     data_topic,
     find_joint_topic,
     imu_stream,
     joint_stream,
+    normal,
+    state_topics,
     triad_topics,
+    usual_joint_topic,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource, partly_logged
+from seqid_cli.robot.toml_schema import Channels, Interfaces
 from seqid_cli.robot.types import Imu, Robot
 
 _SHOWN = 12  # topics or names listed in a message
@@ -67,12 +70,18 @@ def read_blocks(
         After the last block: no joint states, none of the robot's joints in them,
         nothing readable.
     """
-    names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-    kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
-    for imu in robot.imus:  # all topics on which they may be logged
-        for topic in (data_topic(imu), *triad_topics(imu)):
-            kinds[topic] = "imu"
-    log = _Log(path, names, kinds, scan, time_source)
+    channels = robot.channels
+    names = NameMap(
+        robot.log_names,
+        "current" if channels.effort_is_current else "torque",
+        interfaces=_interfaces(channels.interface),
+    )
+    imu_topics = [  # all topics on which they may be logged
+        topic
+        for imu in robot.imus
+        for topic in (data_topic(imu, channels), *triad_topics(imu, channels))
+    ]
+    log = _Log(path, names, channels, imu_topics, scan, time_source)
 
     has_positions = False
     for is_last in log.blocks(rows):
@@ -81,7 +90,7 @@ def read_blocks(
         }
         joint_samples = samples[log.joint_topic]
         if is_last and not log.collectors[log.joint_topic].readable:
-            raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
+            raise _no_joint_states(log.scan, log.collectors[log.joint_topic], channels)
         joints = joint_stream(log.joint_topic, joint_samples, robot)
 
         imus: dict[str, tuple[Stream, ...]] = {}
@@ -90,7 +99,7 @@ def read_blocks(
             topics = log.imu_topics(imu, whole=is_last)
             if topics:
                 imus[imu.name] = tuple(
-                    imu_stream(topic, samples[topic], imu) for topic in topics
+                    imu_stream(topic, samples[topic], imu, channels) for topic in topics
                 )
             for topic in topics:
                 warnings += samples[topic].warnings
@@ -107,16 +116,49 @@ def read_blocks(
         )
 
 
-def list_topics(
-    path: Path, *, scan: type[Scan] = Scan
-) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
-    """List the topics of a file, damaged or not, and the names in its joint states."""
+def _interfaces(interface: Interfaces | None) -> dict[str, str]:
+    """Return the names of interfaces by the fields that they are read as."""
+    if interface is None:
+        return {}
+    name_by_field = {
+        "position": interface.position,
+        "velocity": interface.velocity,
+        "effort": interface.current or interface.torque,
+    }
+    return {field: name for field, name in name_by_field.items() if name is not None}
+
+
+class FileContents(NamedTuple):
+    """What a file holds, damaged or not."""
+
+    topics: tuple[TopicInfo, ...]
+    joints: tuple[str, ...]  # that the joint states name
+    # which may carry joint states, where none of them does for sure; the first was read
+    state_topics: tuple[str, ...]
+
+
+def list_topics(path: Path, *, scan: type[Scan] = Scan) -> FileContents:
+    """List the topics of a file, and the names in its joint states.
+
+    Where no topic is sure to carry them, they are read from the likeliest.
+    """
+    contents = _list_topics(path, Channels(), scan)
+    if contents.joints:
+        return contents
+    candidates = state_topics((normal(info.topic), info.schema) for info in contents[0])
+    if not candidates:
+        return contents
+    likeliest = _list_topics(path, Channels(topic=candidates[0]), scan)
+    return likeliest._replace(state_topics=tuple(candidates))
+
+
+def _list_topics(path: Path, channels: Channels, scan: type[Scan]) -> FileContents:
     names = NameMap(())
-    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan, "header")
+    log = _Log(path, names, channels, (), scan, "header")
     for _ in log.batches():
-        log.collectors[JOINT_STATES].drain()
-    log.collectors[JOINT_STATES].drain()
-    return _topics(log.scan), tuple(names.seen)
+        log.collectors[log.joint_topic].drain()
+    log.collectors[log.joint_topic].drain()
+    return FileContents(_topics(log.scan), tuple(names.seen), ())
 
 
 class _Log:
@@ -126,11 +168,15 @@ class _Log:
         self,
         path: Path,
         names: NameMap,
-        kinds: dict[str, Kind],
+        channels: Channels,
+        imu_topics: Sequence[str],
         scan: type[Scan],
         time_source: TimeSource,
     ) -> None:
-        self.joint_topic = JOINT_STATES
+        self.channels = channels
+        self.joint_topic = usual_joint_topic(channels)
+        kinds: dict[str, Kind] = dict.fromkeys(imu_topics, "imu")
+        kinds[self.joint_topic] = "joint_state"
         self.collectors = {
             topic: Collector(topic, kind, names, time_source)
             for topic, kind in kinds.items()
@@ -139,23 +185,23 @@ class _Log:
         self.scan = scan(path, self._is_wanted)
 
     def _is_wanted(self, topic: str) -> bool:
-        return _normal(topic) in self._wanted_topics
+        return normal(topic) in self._wanted_topics
 
     def batches(self) -> Iterator[None]:
         """Pass over the file; again where the joint states are on another topic."""
         yield from self._pass()
-        usual = self.collectors[JOINT_STATES]
+        usual = self.collectors[self.joint_topic]
         if usual.readable:
             return
-        topics = _topics(self.scan)
-        chosen = find_joint_topic((_normal(info.topic), info.schema) for info in topics)
+        topics = ((normal(info.topic), info.schema) for info in _topics(self.scan))
+        chosen = find_joint_topic(topics, self.channels)
         if chosen is None:
             return
 
-        self.joint_topic, kind = chosen
-        self._wanted_topics = frozenset((self.joint_topic,))
-        self.collectors[self.joint_topic] = Collector(
-            self.joint_topic, kind, usual.names, usual.time_source
+        self.joint_topic = chosen
+        self._wanted_topics = frozenset((chosen,))
+        self.collectors[chosen] = Collector(
+            chosen, "joint_state", usual.names, usual.time_source
         )
         first_scan = self.scan
         self.scan = type(first_scan)(first_scan.path, self._is_wanted)
@@ -164,7 +210,7 @@ class _Log:
 
     def _pass(self) -> Iterator[None]:
         for batch in self.scan.batches():
-            self.collectors[_normal(batch.channel.topic)].add(batch)
+            self.collectors[normal(batch.channel.topic)].add(batch)
             # the next chunk takes its memory, which the processor's cache still holds
             del batch
             yield
@@ -195,12 +241,12 @@ class _Log:
 
         Raises InputError where the `whole` file lacks only some of them.
         """
-        data = data_topic(imu)
+        data = data_topic(imu, self.channels)
         # A triad comes in the IMU's own messages, an array in one topic for each triad.
         if len(imu.positions) == 3 and self.collectors[data].readable:
             needed = [data]
         else:
-            needed = triad_topics(imu)
+            needed = triad_topics(imu, self.channels)
             if imu.gyro:
                 needed.append(data)
         missing = [topic for topic in needed if not self.collectors[topic].readable]
@@ -210,10 +256,6 @@ class _Log:
             content = f"In the file: {_listing(self.scan)}"
             raise partly_logged(imu, missing, str(self.scan.path), content)
         return needed
-
-
-def _normal(topic: str) -> str:
-    return "/" + topic.strip("/")
 
 
 def _losses(scan: Scan) -> list[str]:
@@ -264,12 +306,15 @@ def _no_positions(names: NameMap, path: Path) -> InputError:
     return InputError(
         "the joint states hold no position of any joint of the robot"
         f" ({wanted}); names in the log: {logged}",
-        hint="Give the joints of the robot file the names that the log uses.",
+        hint="Say in the robot file how the log names them: [channels]"
+        ' prefix = "left_", or names = ["...", "..."] in the order of the joints.',
         where=str(path),
     )
 
 
-def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
+def _no_joint_states(
+    scan: Scan, collector: Collector, channels: Channels
+) -> InputError:
     """Make the error for a file without joint states that can be read."""
     where = str(scan.path)
     if collector.received:
@@ -292,15 +337,18 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
             where=where,
         )
 
-    similar = [
-        info.topic for info in _topics(scan) if info.schema.endswith("JointState")
-    ]
+    similar = state_topics((info.topic, info.schema) for info in _topics(scan))
+    topic = usual_joint_topic(channels)
     if similar:
-        hint = f"Is it {similar[0]}? Record or remap it as {JOINT_STATES}."
+        which = "Is it" if len(similar) == 1 else "Which is it of this robot,"
+        hint = (
+            f"{which} {' or '.join(similar[:3])}? Say so in the robot file: [channels]"
+            f' topic = "{similar[0]}"'
+        )
     else:
-        hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+        hint = f"Record {topic} (sensor_msgs/msg/JointState) as well."
     return InputError(
-        f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}",
+        f"no messages on {topic}; in the file: {_listing(scan)}",
         hint=hint,
         where=where,
     )

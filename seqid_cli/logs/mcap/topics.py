@@ -1,13 +1,16 @@
 """Which topics carry what a robot needs, and their samples as streams."""
 
+import re
 from collections.abc import Iterable
 
 import numpy as np
 
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.collector import Samples
-from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Stream
+from seqid_cli.logs.tables.naming_schemes import COMMANDED
+from seqid_cli.robot.toml_schema import Channels
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
@@ -15,15 +18,45 @@ JOINT_STATES = "/joint_states"
 DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
 
 
-def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:
-    """Choose the topic of the joint states, and how it is read.
+def normal(topic: str) -> str:
+    """Return a topic with one slash in front and none behind."""
+    return "/" + topic.strip("/")
 
-    `topics` are names with the type of their messages. None where no topic is sure, or
-    two are.
+
+def within(channels: Channels, topic: str) -> str:
+    """Name a topic in the namespace that the robot file gives, if any."""
+    return normal(f"{(channels.namespace or '').strip('/')}/{topic.strip('/')}")
+
+
+def usual_joint_topic(channels: Channels) -> str:
+    """Name the topic that the robot file says, or else the usual one."""
+    declared = channels.topic
+    if declared is None:
+        return within(channels, JOINT_STATES)
+    if declared.startswith("/"):
+        return normal(declared)
+    return within(channels, declared)
+
+
+def find_joint_topic(
+    topics: Iterable[tuple[str, str]], channels: Channels
+) -> str | None:
+    """Choose the topic of the joint states where the usual one is not in a file.
+
+    `topics` are names with the type of their messages. None where no topic is sure,
+    where two are, or where the robot file names another one.
     """
-    type_by_topic = dict(topics)
-    if DYNAMIC_JOINT_STATES in type_by_topic:
-        return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
+    if channels.topic is not None:
+        return None
+    namespace = within(channels, "")
+    type_by_topic = {
+        topic: type_name
+        for topic, type_name in topics
+        if topic.startswith(f"{namespace.rstrip('/')}/")
+    }
+    dynamic_topic = within(channels, DYNAMIC_JOINT_STATES)
+    if dynamic_topic in type_by_topic:
+        return dynamic_topic
 
     # Types that only measured states have; a JointState on another topic may as well be
     # a command.
@@ -37,22 +70,42 @@ def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | No
         for topic, type_name in type_by_topic.items()
         if type_name.endswith("DynamicJointState")
     ]
-    if len(of_foxglove) == 1:
-        return of_foxglove[0], "joint_state"
-    if len(dynamic) == 1:
-        return dynamic[0], "dynamic_joint_state"
+    for sure in (of_foxglove, dynamic):
+        if len(sure) == 1:
+            return sure[0]
     return None
 
 
-def data_topic(imu: Imu) -> str:
+def state_topics(topics: Iterable[tuple[str, str]]) -> list[str]:
+    """List the topics that may carry the joint states, the likeliest first.
+
+    That is for a proposal, which a person looks at. Topics of commands come last.
+    """
+
+    def rank(topic: str) -> tuple[bool, bool, str]:
+        words = re.split(r"[^a-z]+", topic.lower())
+        is_command = not COMMANDED.isdisjoint(words)
+        return is_command, not topic.endswith(JOINT_STATES), topic
+
+    return sorted(
+        {
+            topic
+            for topic, type_name in topics
+            if type_name.endswith(("JointState", "JointStates"))
+        },
+        key=rank,
+    )
+
+
+def data_topic(imu: Imu, channels: Channels) -> str:
     """Name the topic of a whole IMU."""
-    return f"/{imu.name}/data"
+    return within(channels, f"{imu.name}/data")
 
 
-def triad_topics(imu: Imu) -> list[str]:
+def triad_topics(imu: Imu, channels: Channels) -> list[str]:
     """Name the topics of an array of accelerometers, one for each three of them."""
     n_triads = -(-len(imu.positions) // 3)
-    return [f"/{imu.name}/accel_{k + 1}" for k in range(n_triads)]
+    return [within(channels, f"{imu.name}/accel_{k + 1}") for k in range(n_triads)]
 
 
 def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
@@ -66,7 +119,7 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
 
     blocks = np.split(values, len(JOINT_QUANTITIES), axis=1)
     by_quantity = dict(zip(JOINT_QUANTITIES, blocks, strict=True))
-    is_current = robot.channels.effort == "current"
+    is_current = robot.channels.effort_is_current
     by_quantity["current" if is_current else "torque"] = by_quantity.pop("effort")
     channels = {
         quantity: block
@@ -76,17 +129,17 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
     return Stream(topic, stamps, in_si(channels, stamps, robot))
 
 
-def imu_stream(topic: str, samples: Samples, imu: Imu) -> Stream:
+def imu_stream(topic: str, samples: Samples, imu: Imu, channels: Channels) -> Stream:
     """Make a stream of what one topic tells of an IMU."""
     count = len(imu.positions)
-    triads = triad_topics(imu)
-    channels = {}
+    triads = triad_topics(imu, channels)
+    readings = {}
     if topic in triads or count == 3:
         first = 3 * triads.index(topic) if topic in triads else 0
-        channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
-    if topic == data_topic(imu) and imu.gyro:
-        channels[GYRO] = samples.values[:, 3:]
-    return Stream(topic, samples.stamp_ns, channels)
+        readings[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
+    if topic == data_topic(imu, channels) and imu.gyro:
+        readings[GYRO] = samples.values[:, 3:]
+    return Stream(topic, samples.stamp_ns, readings)
 
 
 def any_finite(values: Array) -> bool:

@@ -6,7 +6,7 @@ JointState, of control_msgs' DynamicJointState or of `foxglove.JointStates`:
 `timestamp`, and `joints` with `name` and optional `position`, `velocity` and `effort`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -108,19 +108,28 @@ class NameMap:
     Parameters
     ----------
     joints : iterable of str
-        Names of the robot file.
+        Names of the robot's joints in the log.
     effort : {"torque", "current"}
         An interface of that name stands in for effort.
+    interfaces : mapping of str to str
+        Names of the interfaces that are read as position, velocity and effort, where
+        they have others.
     most : int
         Names of messages that are remembered in `seen`, for the message that none of
         them fits; also lists of names whose entries are remembered.
     """
 
     def __init__(
-        self, joints: Iterable[str], effort: str = "torque", *, most: int = 200
+        self,
+        joints: Iterable[str],
+        effort: str = "torque",
+        *,
+        interfaces: Mapping[str, str] = {},
+        most: int = 200,
     ) -> None:
         self.joints = tuple(joints)
         self.effort = effort
+        self.interfaces = dict(interfaces)
         self.seen: dict[str, None] = {}
         self._most = most
         self._joint_by_name = {name: j for j, name in enumerate(self.joints)}
@@ -182,7 +191,10 @@ def _fill_from_interfaces(row: list[object], message: object, names: NameMap) ->
         values = _list(field(interfaces[entry], "values"))
         by_quantity = dict(zip(quantities, values, strict=True))
         by_quantity.setdefault("effort", by_quantity.get(names.effort))
-        row[joint::n] = map(by_quantity.get, JOINT_QUANTITIES)
+        row[joint::n] = [
+            by_quantity.get(names.interfaces.get(quantity, quantity))
+            for quantity in JOINT_QUANTITIES
+        ]
 
 
 def _fill_from_joints(row: list[object], message: object, names: NameMap) -> None:

@@ -26,6 +26,7 @@ from seqid_cli.logs.messages.batch import (
 from seqid_cli.logs.messages.cdr import LayoutDecoder
 from seqid_cli.logs.raw import STAMP_LIMIT_NS
 
+DYNAMIC = "DynamicJointState"  # how the name of the type ends
 Parse = Callable[[bytes], object]
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -106,6 +107,13 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError("no number")
     return float(value)  # protobuf's JSON form writes NaN and Infinity as text
+
+
+def kind_of(schema: Schema | None, kind: Kind) -> Kind:
+    """Return how messages are read: joint states as their type says."""
+    if kind != "imu" and schema is not None and schema.name.endswith(DYNAMIC):
+        return "dynamic_joint_state"
+    return kind
 
 
 def decoder(

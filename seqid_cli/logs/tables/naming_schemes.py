@@ -1,4 +1,4 @@
-"""How well-known loggers name the columns of a table: standard library only.
+"""How well-known loggers name the columns of a table: no numpy, no Arrow.
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot
 file, `{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an
@@ -15,10 +15,8 @@ in ms (src/logging/robot_state_log.cpp); LeRobot datasets, list columns
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from seqid_cli.robot.toml_schema import Columns
+from seqid_cli.robot.toml_schema import column_name
 
 QUANTITIES = (
     "position",
@@ -220,17 +218,6 @@ class Match:
     # the column of each joint, by quantity; None where a joint lacks one
     columns: dict[str, list[str | None]]
     time_unit: str | None  # of its time column where the name does not say
-
-
-def column_name(pattern: "Columns", joint: str, index0: int) -> str:
-    """Fill a pattern with a joint's name and place, or look up its column in a list.
-
-    In a pattern {name}, {index} (from 1) and {index0} (from 0) are replaced.
-    """
-    if not isinstance(pattern, str):
-        return str(pattern[index0])
-    numbered = pattern.replace("{index0}", str(index0))
-    return numbered.replace("{index}", str(index0 + 1)).replace("{name}", joint)
 
 
 def find_scheme(

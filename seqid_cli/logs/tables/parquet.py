@@ -141,7 +141,7 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read a Parquet log; see `read_table`. A row has one time, whatever the source."""
     del time_source
-    return read_table(open_table(path, robot.joint_names), robot, rows)
+    return read_table(open_table(path, robot.log_names), robot, rows)
 
 
 def read_tables(

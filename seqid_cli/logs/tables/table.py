@@ -21,7 +21,7 @@ from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.episodes import separate
 from seqid_cli.logs.tables.imu_columns import ImuColumns, imu_columns
-from seqid_cli.robot.toml_schema import Channels, Columns
+from seqid_cli.robot.toml_schema import Channels, Columns, column_name
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -173,7 +173,7 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     ambiguous.
     """
     log_columns = set(file.names)
-    joints = robot.joint_names
+    joints = robot.log_names
     match = schemes.find_scheme(joints, log_columns, file.entries)
     if match is None and robot.channels.position is None:
         nearest = schemes.nearest_scheme(joints, log_columns)
@@ -202,7 +202,7 @@ def _joint_columns(
 ) -> dict[str, list[str | None]]:
     """Return the columns of the joints by quantity: declared ones before found ones."""
     log_columns = set(file.names)
-    joints = robot.joint_names
+    joints = robot.log_names
     columns = (
         schemes.find_quantities(joints, log_columns)
         if match is None
@@ -210,16 +210,14 @@ def _joint_columns(
     )
     effort = columns.pop(schemes.EFFORT, None)
     if effort is not None:
-        is_current = robot.channels.effort == "current"
+        is_current = robot.channels.effort_is_current
         columns.setdefault("current" if is_current else "torque", effort)
 
     for quantity in schemes.QUANTITIES:
         pattern: Columns | None = getattr(robot.channels, quantity)
         if pattern is None:
             continue
-        declared = [
-            schemes.column_name(pattern, name, k) for k, name in enumerate(joints)
-        ]
+        declared = [column_name(pattern, name, k) for k, name in enumerate(joints)]
         missing = [name for name in declared if name not in log_columns]
         if missing:
             raise missing_columns(file.where, missing, file.names)
@@ -230,11 +228,17 @@ def _joint_columns(
 def _time_column(
     file: TableFile, channels: Channels, match: schemes.Match | None
 ) -> TimeColumn:
-    """Choose the column of time: the declared one, `t`, or the only one named so."""
+    """Choose the column of time: the declared one, `t`, or the only one named so.
+
+    A declared unit counts more than what name or format say.
+    """
     unit_of_format = match.time_unit if match is not None else None
     unit_by_name = schemes.time_names(file.names)
     if channels.time is None and "t" in unit_by_name:
-        return TimeColumn("t", unit_of_format)
+        declared_unit = channels.time_unit
+        return TimeColumn(
+            "t", declared_unit or unit_of_format, sure=declared_unit is not None
+        )
 
     candidates = list(unit_by_name)
     if channels.time is not None:
@@ -255,7 +259,7 @@ def _time_column(
     name = candidates[0] if candidates else "t"
     if name not in file.names:
         raise missing_columns(file.where, [name], file.names, what="[channels] time")
-    unit = unit_by_name.get(name)
+    unit = channels.time_unit or unit_by_name.get(name)
     return TimeColumn(name, unit or unit_of_format, sure=unit is not None)
 
 

@@ -148,6 +148,31 @@ OF_THE_FILE = {  # what follows the head of the file
         "channels.position 'q' is the same",
     ),
     "current": (ONE + BY_INDEX, NO_CONSTANT),
+    "topic": (BOTH + '[channels]\ntopic = " "\n', "channels.topic is ' '"),
+    "two kinds of names": (
+        BOTH + '[channels]\nprefix = "a_"\nnames = "a_{name}"\n',
+        "channels.prefix and channels.names",
+    ),
+    "names of fewer joints": (
+        BOTH + '[channels]\nnames = ["a"]\n',
+        "channels.names names 1 columns for 2 joints",
+    ),
+    "interface": (
+        BOTH + '[channels]\ninterface = { efort = "a" }\n',
+        "unknown key 'channels.interface.efort'",
+    ),
+    "two efforts": (
+        BOTH + '[channels]\ninterface = { torque = "a", current = "b" }\n',
+        "channels.interface names both",
+    ),
+    "current of an interface": (
+        BOTH + '[channels]\ninterface = { current = "b" }\n',
+        r"channels.interface.current .*\.torque_constant \(joint 'one'\) is missing",
+    ),
+    "unit of time": (
+        BOTH + '[channels]\ntime_unit = "h"\n',
+        "channels.time_unit: invalid enum value 'h'",
+    ),
     "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
     "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),
     "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),

@@ -144,7 +144,10 @@ def test_what_is_missing_is_said(
     assert said in caught.value.message
     if said == ELSEWHERE:
         assert "/arm/joint_states" in caught.value.hint
-        (topic,), _ = list_topics(tmp_path / "log.mcap")
+        contents = list_topics(tmp_path / "log.mcap")
+        (topic,) = contents.topics
+        assert contents.state_topics == ("/arm/joint_states",)
+        assert contents.joints == JOINTS
         assert (topic.topic, topic.messages) == ("/arm/joint_states", 200)
 
 

@@ -103,6 +103,7 @@ WARNINGS: Mapping[str, str] = {
     "stamps_backwards": (
         "Use a monotonic clock; the samples were sorted by their stamps."
     ),
+    "stamps_coarse": "Log with a finer clock; the samples are laid evenly.",
     "stamps_repeated": "Look for doubled messages or a clock that is too coarse.",
     "stamps_zero": "Make the driver fill in header.stamp; or use --time log.",
     "stamps_far_off": "Check the clock, or split the log.",

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from seqid_cli.logs.even_stamps import evened
 from seqid_cli.logs.raw import Array, Rows, Stamps, Stream, gap_limit
 
 NS = 1_000_000_000  # per second
@@ -26,10 +27,11 @@ class TidyStream:
 
 
 def tidy(stream: Stream) -> TidyStream:
-    """Sort a stream by stamp and merge samples of equal stamp.
+    """Sort a stream by stamp, lay it evenly, and merge samples of equal stamp.
 
-    Of merged samples the first that holds a joint's value gives it. Where the clock was
-    set back, only the longest stretch of one pass is kept.
+    Samples that are more even than a coarse clock says are laid evenly. Of merged
+    samples the first that holds a joint's value gives it. Where the clock was set back,
+    only the longest stretch of one pass is kept.
     """
     warnings: list[str] = []
     steps_back = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
@@ -39,6 +41,10 @@ def tidy(stream: Stream) -> TidyStream:
         warnings.append(f"{stream.name}: time steps back {steps_back} times; sorted")
 
     stream = _far_stamps_cut(stream, warnings)
+    even = evened(stream)
+    if even is not None:
+        stream = even.stream
+        warnings.append(even.warning)
 
     n_samples = len(stream)
     stream, duplicates, conflicts = _merged(stream)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.logs.even_stamps import evened
 from seqid_cli.logs.first_pass import FirstPass, UnevenError
 from seqid_cli.logs.log_file import LogFile, likely_rows
 from seqid_cli.logs.lost_samples import mended
@@ -288,6 +289,8 @@ def _rows(log: LogFile, robot: Robot) -> Iterator[tuple[RawLog, Stream]]:
         is_sound = values.min() >= -ABSURD and values.max() <= ABSURD
         steps = np.diff(np.concatenate([latest, joints.stamp_ns]))
         if not is_sound or (steps <= 0).any():
+            raise UnevenError
+        if evened(joints) is not None:
             raise UnevenError
         if len(mended(joints).losses.rows):
             raise UnevenError

@@ -19,6 +19,7 @@ _WARNING_CODES: tuple[tuple[str, str], ...] = (
     (r"runs twice over the same time", "clock_set_back"),
     (r"steps back \d+ times", "stamps_backwards"),
     (r"samples are lost at \d+ places", "samples_lost"),
+    (r"stamps are coarser than the samples", "stamps_coarse"),
     (r"repeat a stamp|share a stamp", "stamps_repeated"),
     (r"stamps span", "stamps_far_off"),
     (

@@ -30,6 +30,7 @@ app = command_app()
         " fleet.html",
         "seqid report refined.json prediction.json --torques torques.parquet -o"
         " report.html --json",
+        "seqid report refined.json diagnosis.json -o report.html --figures figures",
     ),
 )
 def report(
@@ -71,6 +72,17 @@ def report(
             help="A page about many robots, told apart by their names or by folders.",
         ),
     ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures",
+            metavar="FOLDER",
+            help=(
+                "Where the figures go as files that stand alone (SVG; PDF with"
+                " seqid[figures]), and the parameters as a LaTeX table."
+            ),
+        ),
+    ] = None,
     strict: StrictOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -91,7 +103,9 @@ def report(
     with CommandRun(
         "report", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     ) as run:
-        file = write_report(files, output, torques=torques, title=title, by=by)
+        file = write_report(
+            files, output, torques=torques, title=title, by=by, figures=figures
+        )
     run.screen.document(file)
     run.screen.result(f"{TITLES[file.verdict]}. {file.sentence}")
     for point in file.points:
@@ -102,4 +116,6 @@ def report(
             f"sections that say which command gives their data: {', '.join(incomplete)}"
         )
     run.screen.note(f"written: {file.output}")
+    if file.figures:
+        run.screen.note(f"{len(file.figures)} figures and tables in {figures}")
     return run.exit_code(strict=strict, is_untrusted=file.verdict != "good")

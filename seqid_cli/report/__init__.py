@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, warn
 from seqid_cli.params.files import By, by_robot, check_output, write_text_atomic
-from seqid_cli.params.io import read_any, read_trend
+from seqid_cli.params.io import Document, Source, read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.report.plots import plot_evidence, plot_friction, plot_torques
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def report(
     torques: PathLike | None = None,
     title: str = "",
     by: By | None = None,
+    figures: PathLike | None = None,
 ) -> ReportFile:
     """Write one self-contained HTML page about a robot's model: the verdict first.
 
@@ -44,6 +46,9 @@ def report(
     by : {"name", "folder"}, optional
         A page about many robots, told apart by their names or by the folders of their
         files.
+    figures : path, optional
+        A folder for the figures, each a file that stands alone (SVG, and PDF where
+        `seqid[figures]` is installed), and for the parameters as a LaTeX table.
 
     Returns
     -------
@@ -67,11 +72,19 @@ def report(
         )
     check_output(target, inputs)
 
-    page = _page(documents, tables, title, by)
+    trend = read_trend(documents[0]) if len(documents) == 1 else None
+    sources = [] if trend is not None else read_any(documents)
+    if trend is not None:
+        from seqid_cli.report.trend import trend_page
+
+        page = trend_page(trend, str(documents[0]), title=title)
+    else:
+        page = _page(sources, tables, title, by)
     html = page.html
     write_text_atomic(target, html, inputs=inputs)
     for warning in page.warnings:
         warn(warning)
+    alone = [] if figures is None else _written_alone(page, sources, Path(figures))
 
     judgement = page.judgement
     return ReportFile(
@@ -90,21 +103,34 @@ def report(
         files=list(page.files),
         torques=", ".join(page.torques) or None,
         bytes=len(html.encode()),
+        figures=[str(path) for path in alone],
     )
 
 
+def _written_alone(
+    page: Page, sources: Sequence[Source[Document]], folder: Path
+) -> list[Path]:
+    """Write figures and tables that stand alone; return their paths."""
+    from seqid_cli.report.latex import parameter_table
+    from seqid_cli.report.standalone import write_figures
+
+    paths = write_figures(page, folder)
+    contents = [source.content for source in sources]
+    models = [model for model in contents if isinstance(model, ParameterFile)]
+    for number, model in enumerate(models, start=1):
+        name = "parameters.tex" if len(models) == 1 else f"parameters-{number}.tex"
+        write_text_atomic(folder / name, parameter_table(model))
+        paths.append(folder / name)
+    return paths
+
+
 def _page(
-    documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None
+    sources: Sequence[Source[Document]],
+    torques: Sequence[Path],
+    title: str,
+    by: By | None,
 ) -> Page:
-    """Return a page about one robot, many, or what changed over time."""
-    if len(documents) == 1:
-        trend = read_trend(documents[0])
-        if trend is not None:
-            from seqid_cli.report.trend import trend_page
-
-            return trend_page(trend, str(documents[0]), title=title)
-
-    sources = read_any(documents)
+    """Return a page about one robot, or about many."""
     if by is None:
         from seqid_cli.report.make import make_report
 

@@ -36,9 +36,9 @@ class Drawing:
 
     def _repr_html_(self) -> str:
         """Return the figures in a frame of their own, with the report's style."""
-        from seqid_cli.report.views import resource
+        from seqid_cli.report.views import style_sheet
 
-        page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
+        page = f"<style>{style_sheet()} figure{{max-width:{_WIDTH}px}}</style>"
         for figure in self.figures:
             page += (
                 f"<figure><figcaption>{escape(figure.title)}</figcaption>"

@@ -299,7 +299,7 @@ class Page:
     @property
     def html(self) -> str:
         """The page as one text."""
-        style = resource("style.css")
+        style = style_sheet()
         script = resource("script.js")
 
         # The browser runs and loads nothing but these two.
@@ -328,6 +328,11 @@ def _hash_of(text: str) -> str:
     """Return the hash by which a policy names a style sheet or a script."""
     digest = hashlib.sha256(text.encode()).digest()
     return f"sha256-{base64.b64encode(digest).decode()}"
+
+
+def style_sheet() -> str:
+    """Return the style of a page: that of its drawings, and that around them."""
+    return resource("drawing.css") + resource("style.css")
 
 
 def resource(name: str) -> str:

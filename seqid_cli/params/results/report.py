@@ -26,7 +26,10 @@ class ReportSection(Struct, kw_only=True):
 
 
 class ReportFile(Document, kw_only=True):
-    """The verdict in a word, in a sentence, and point by point; the page's sources."""
+    """The verdict in a word, in a sentence, and point by point; the page's sources.
+
+    `figures` are the files that stand alone: drawings, and the table of parameters.
+    """
 
     output: str
     robot: str
@@ -37,3 +40,4 @@ class ReportFile(Document, kw_only=True):
     files: list[str]
     torques: str | None
     bytes: int
+    figures: list[str] = []

@@ -8,7 +8,6 @@ import itertools
 import re
 from html import unescape
 from html.parser import HTMLParser
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ from seqid_cli.params.schema import MotionUse, RigidStage
 from seqid_cli.report import words
 from seqid_cli.report.fleet import fleet_page
 from seqid_cli.report.make import make_report
-from seqid_cli.report.views import Page
+from seqid_cli.report.views import Page, style_sheet
 from tests.transcripts import check_text
 from tests.unit.params.documents import friction_file, inertia_file
 from tests.unit.report.pages import (
@@ -74,7 +73,7 @@ def test_the_page_asks_for_nothing(page: str) -> None:
             value = attributes.get(name)
             assert value is None or value.startswith("#") or value == "data:,"
         assert not any(name.startswith("on") for name in attributes)
-    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
+    style = style_sheet()
     assert "url(" not in style
     assert "@import" not in style
     assert "http" not in page.replace("http-equiv", "").replace(
@@ -197,7 +196,7 @@ def luminance(color: str) -> float:
 
 def test_colours_contrast_in_both_themes() -> None:
     """By the contrast ratio of WCAG 2: text 4.5, lines 3."""
-    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
+    style = style_sheet()
     blocks = re.findall(r":root\{(.*?)\}", style, re.DOTALL)
     assert len(blocks) == 2
     badges = ("good", "poor", "open", "none")

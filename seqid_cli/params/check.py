@@ -125,6 +125,9 @@ def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
     if joint.law_error < 0.0:
         yield f"{key}.law_error", "must be at least 0"
+    for place, level in enumerate(joint.speeds):
+        if not _has_shape(level.points, len(level.points), 4):
+            yield f"{key}.speeds[{place}].points", "must have rows of 4 numbers"
 
 
 def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:

@@ -122,7 +122,9 @@ class SpeedLevel(Struct, kw_only=True):
 
     `friction` is its RMS there, `std_error` that of the surface, `rmse` and `left_out`
     its error with this speed and without, N m, of averages over a quarter of a trial.
-    The slowest and the fastest speed are never left out.
+    The slowest and the fastest speed are never left out. `points` are these averages,
+    a row each: position (rad), direction (1 or -1), measured friction less that of the
+    surface and its standard error (N m), both in the direction of the motion.
     """
 
     speed: float
@@ -132,6 +134,7 @@ class SpeedLevel(Struct, kw_only=True):
     friction: float = 0.0
     std_error: float = 0.0
     left_out: float | None = None
+    points: Matrix = []
 
 
 class Nuisance(Struct, kw_only=True):

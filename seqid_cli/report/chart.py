@@ -21,6 +21,7 @@ from seqid_cli.typing import Array
 
 WIDE, SMALL = 580.0, 372.0  # widths of drawings
 _LEFT, _RIGHT, _TOP, _FOOT = 62.0, 12.0, 26.0, 44.0  # around a panel
+_POINT = 2.0  # radius of a measured point
 _ROW, _NAMES, _LONGEST = 28.0, 150.0, 20  # height, width and letters of a row's name
 Numbers = Sequence[float] | Array
 # style and value, by the name of the row
@@ -265,6 +266,30 @@ class Panel:
             height=self.box.bottom - self.box.top,
         )
         self.marks.append(mark)
+
+    def points(self, x: Numbers, y: Numbers, half: Numbers, style: str) -> None:
+        """Draw measured points with their error bars.
+
+        Parameters
+        ----------
+        x, y : (N,) float
+        half : (N,) float
+            Half the length of each bar.
+        style : str
+            Class of points and bars in the style sheet.
+        """
+        for at_x, at_y, bar in zip(x, y, half, strict=True):
+            centre_x = self.x(float(at_x))
+            low, high = self.y(float(at_y - bar)), self.y(float(at_y + bar))
+            self.marks.append(line(f"bar-of {style}", centre_x, low, centre_x, high))
+            mark = element(
+                "circle",
+                class_=f"point {style}",
+                cx=centre_x,
+                cy=self.y(float(at_y)),
+                r=_POINT,
+            )
+            self.marks.append(mark)
 
     def upright(self, value: float, style: str) -> None:
         """Draw a vertical line at a value of x."""

@@ -27,6 +27,7 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import (
     FrictionJoint,
     GravityOfTrial,
+    Matrix,
     Nuisance,
     SpeedLevel,
     Verdict,
@@ -48,7 +49,8 @@ class Errors:
 
     `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of
     its slices gives an average, `trial_error` the standard deviation of what its trial
-    has for itself: an offset, slow changes, an unsteady speed (`prior.Sizes`).
+    has for itself: an offset, slow changes, an unsteady speed (`prior.Sizes`). `q` is
+    the mean position, `direction` that of the motion.
     """
 
     u: Array
@@ -56,6 +58,8 @@ class Errors:
     friction: Array
     noise: Array
     trial_error: Array
+    q: Array
+    direction: Array
 
     @property
     def missed(self) -> Array:
@@ -110,7 +114,15 @@ class Errors:
             friction=self.friction[at_speed],
             noise=self.noise[at_speed],
             trial_error=self.trial_error[at_speed],
+            q=self.q[at_speed],
+            direction=self.direction[at_speed],
         )
+
+    def points(self) -> Matrix:
+        """Return position, direction, error and its standard error, a row for each."""
+        std_error = np.hypot(self.noise, self.trial_error)
+        columns = (self.q, self.direction, self.error, std_error)
+        return [list(row) for row in np.column_stack(columns).tolist()]
 
 
 Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
@@ -159,12 +171,17 @@ def errors_of(
                 noise = scatter / np.sqrt(len(group))
                 friction = item.friction[group].mean()
                 rows.append(
-                    (u, error[group].mean(), friction, noise, np.sqrt(of_trial))
+                    {
+                        "u": u,
+                        "error": error[group].mean(),
+                        "friction": friction,
+                        "noise": noise,
+                        "trial_error": np.sqrt(of_trial),
+                        "q": item.q[group].mean(),
+                        "direction": item.direction,
+                    }
                 )
-    u, error, friction, noise, trial_error = np.array(rows).T
-    return Errors(
-        u=u, error=error, friction=friction, noise=noise, trial_error=trial_error
-    )
+    return Errors(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
 @dataclass(frozen=True)
@@ -311,6 +328,7 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
             std_error=rms(fit.surface.std_error(q, v)),
             rmse=rms(fitted.at(u).error),
             left_out=rms(unseen.at(u).error) if inner else None,
+            points=fitted.at(u).points(),
         )
         result.append(level)
     return result

@@ -22,6 +22,9 @@ _CELLS = (22, 11)  # of the map: along position, along speed in either direction
 _COLOURS = 12
 _CURVE = 81  # points of a line
 _HEIGHT = 178.0
+# Averages within this part of the range count for a cut: the width of a quarter trial,
+# over which they are averages, on either side of the cuts at the quarters.
+_REACH = 8.0
 
 
 def friction(collection: Collection) -> views.Section:
@@ -254,8 +257,14 @@ def _cuts(
                 half_width=Z95 * surface.stated_error(q, v),
             )
             curves.append(curve)
+    measured = [
+        _points_at(joint, surface, float(cut), over_velocity=over_velocity)
+        for cut in cuts
+    ]
     names = [f"at {float(cut):.3g} {cut_unit}".replace("-", MINUS) for cut in cuts]
-    panel = _cut_panel(curves, (over, x_unit), np.concatenate(pieces), names, place)
+    panel = _cut_panel(
+        curves, measured, (over, x_unit), np.concatenate(pieces), names, place
+    )
     _draw_marks(panel, recorded_speeds)
 
     title = f"Friction of {place.joint} over {over}"
@@ -271,6 +280,11 @@ def _cuts(
     note = ""
     if recorded_speeds:
         note = "Small marks below: the speeds that were recorded."
+    if any(len(points.x) for points in measured):
+        near = "the cut's positions" if over_velocity else "the nearest recorded speed"
+        note = (
+            f"Points: measured averages at {near} with 95 % intervals. {note}".strip()
+        )
     return figure(
         [panel],
         title,
@@ -282,8 +296,57 @@ def _cuts(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Points:
+    """Measured averages near a cut: torques (N,) over x (N,), half their intervals."""
+
+    x: Array
+    torque: Array
+    half_width: Array
+
+
+def _points_at(
+    joint: FrictionJoint, surface: FrictionSurface, cut: float, *, over_velocity: bool
+) -> _Points:
+    """Return what was measured near a cut, over velocity or over position.
+
+    A point lies at the surface by what was measured more than the surface has where it
+    was measured: the cut itself passes between the places of the averages.
+    """
+    if over_velocity:
+        levels = joint.speeds
+    else:
+        levels = sorted(joint.speeds, key=lambda level: abs(level.speed - cut))[:1]
+    low, high = joint.position_range
+    reach = (high - low) / _REACH
+
+    rows: list[tuple[float, float, float]] = []
+    for level in levels:
+        points = np.reshape(level.points, (-1, 4))
+        for direction in (1.0, -1.0):
+            q, _, error, std_error = points[points[:, 1] == direction].T
+            if not over_velocity:
+                if direction > 0.0:
+                    rows += zip(q, error, std_error, strict=True)
+                continue
+            is_near = np.abs(q - cut) <= reach
+            if is_near.any():
+                # What trials have for themselves is common to averages of one trial:
+                # the error of their mean is not taken as smaller than theirs.
+                spread = float(np.sqrt(np.mean(std_error[is_near] ** 2)))
+                missed = direction * float(error[is_near].mean())
+                rows.append((direction * level.speed, missed, spread))
+    x, errors, std_errors = np.array(rows).reshape(-1, 3).T
+    at_cut = np.full(len(x), cut)
+    q, v = (at_cut, x) if over_velocity else (x, at_cut)
+    return _Points(
+        x=x, torque=surface.torque(q, v) + errors, half_width=Z95 * std_errors
+    )
+
+
 def _cut_panel(
     curves: list[_Curve],
+    measured: list[_Points],
     x_axis: tuple[str, str],
     x: Array,
     names: list[str],
@@ -293,6 +356,7 @@ def _cut_panel(
     edges = []
     for curve in curves:
         edges += [curve.torque - curve.half_width, curve.torque + curve.half_width]
+    edges += [points.torque for points in measured]
     panel = small_panel(
         x_axis,
         padded(x, 0.02),
@@ -313,6 +377,8 @@ def _cut_panel(
             name=names[curve.cut],
             unit=place.unit,
         )
+    for k, points in enumerate(measured):
+        panel.points(points.x, points.torque, points.half_width, f"cut{k}")
     return panel
 
 

@@ -4,16 +4,22 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from markupsafe import Markup
 
-from seqid_cli.errors import SeqidWarning, UsageError
+from seqid_cli.errors import ConfigError, SeqidWarning, UsageError
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.encode import encode
-from seqid_cli.params.schema import EffectOfJoint, Parameter
+from seqid_cli.params.io import read_parameters
+from seqid_cli.params.schema import EffectOfJoint, Parameter, SpeedLevel
 from seqid_cli.report import report, standalone
+from seqid_cli.report.collection import Place
 from seqid_cli.report.latex import parameter_table
+from seqid_cli.report.sections.friction import _points_at, friction_figures
 from seqid_cli.report.views import Figure
-from tests.unit.params.documents import full_file
+from seqid_cli.report.words import Z95
+from tests.unit.params.documents import friction_file, full_file
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -125,3 +131,42 @@ def test_the_table_is_latex() -> None:
     assert any(r"-- & not determined & \%" in line for line in lines)
     opened, closed = text.count("{"), text.count("}")
     assert opened == closed
+
+
+def test_measured_points_stand_beside_the_curves(tmp_path: Path) -> None:
+    """Each at the surface, plus what was measured more, with its interval."""
+    file = friction_file()
+    for name, joint in file.stages.friction.joints.items():
+        points = [[0.9, 1.0, 0.2, 0.05], [1.1, 1.0, 0.4, 0.05], [-1.0, -1.0, 0.3, 0.1]]
+        joint.speeds = [
+            SpeedLevel(speed=0.8, forward=2, backward=1, rmse=0.1, points=points)
+        ]
+        place = Place(joint=name, unit="N m", length="rad")
+        over_velocity = friction_figures(joint, place)[1]
+        drawing = ElementTree.fromstring(over_velocity.drawing)
+        found = [item.get("class") for item in drawing.iter("circle")]
+        # The cuts are at -1, 0 and 1 rad; a quarter of their distance is within reach.
+        assert found == ["point cut0", "point cut2"]
+        assert len(list(drawing.iter("circle"))) == len(
+            [item for item in drawing.iter("line") if "bar-of" in item.get("class")]
+        )
+        surface = FrictionSurface.from_stage(joint)
+        back, forth = (float(item.get("cx")) for item in drawing.iter("circle"))
+        assert back < forth
+        cut = _points_at(joint, surface, 1.0, over_velocity=True)
+        at_cut = surface.torque(np.array([1.0]), np.array([0.8]))
+        assert cut.torque == pytest.approx(at_cut + 0.3)
+        assert cut.half_width == pytest.approx([Z95 * 0.05])
+        assert "Points" in over_velocity.note
+
+
+def test_points_of_another_shape_are_refused(tmp_path: Path) -> None:
+    file = friction_file()
+    joint = next(iter(file.stages.friction.joints.values()))
+    joint.speeds = [
+        SpeedLevel(speed=0.8, forward=1, backward=1, rmse=0.1, points=[[1.0, 2.0]])
+    ]
+    path = tmp_path / "friction.json"
+    path.write_text(encode(file))
+    with pytest.raises(ConfigError, match=r"speeds\[0\].points: must have rows of 4"):
+        read_parameters(path)

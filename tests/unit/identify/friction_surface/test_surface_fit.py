@@ -245,7 +245,13 @@ def test_where_friction_approaches_zero_the_error_is_over_a_fifth_of_its_rms() -
     friction = np.array([1.0, -1.0, 1e-9, 0.5])
     error = np.array([0.01, 0.02, 0.03, 0.0])
     errors = Errors(
-        u=one, error=error, friction=friction, noise=0.0 * one, trial_error=0.0 * one
+        u=one,
+        error=error,
+        friction=friction,
+        noise=0.0 * one,
+        trial_error=0.0 * one,
+        q=0.0 * one,
+        direction=one,
     )
     rms = np.sqrt(np.mean(friction**2))
     assert errors.relative == pytest.approx(0.03 / (0.2 * rms))
@@ -258,7 +264,13 @@ def test_what_noise_alone_makes_is_the_median_of_the_largest() -> None:
     noise, trial_error = rng.uniform(0.01, 0.1, (2, 80))
     one = np.ones(80)
     errors = Errors(
-        u=one, error=one, friction=friction, noise=noise, trial_error=trial_error
+        u=one,
+        error=one,
+        friction=friction,
+        noise=noise,
+        trial_error=trial_error,
+        q=0.0 * one,
+        direction=one,
     )
     drawn_errors = np.hypot(noise, trial_error) * rng.standard_normal((20000, 80))
     largest = np.abs(drawn_errors / friction).max(axis=1)

@@ -17,6 +17,9 @@ from seqid_cli.report.plots import plot_evidence, plot_friction, plot_torques
 if TYPE_CHECKING:
     from seqid_cli.report.views import Page
 
+# Endings that promise something else than a page.
+_OTHER_FORMS = frozenset({".pdf", ".docx", ".md", ".tex", ".json", ".svg", ".png"})
+
 __all__ = ["plot_evidence", "plot_friction", "plot_torques", "report"]
 
 
@@ -69,6 +72,13 @@ def report(
     if not documents:
         raise UsageError(
             "no JSON file given", hint="Name the files that the stages wrote."
+        )
+    if target.suffix.lower() in _OTHER_FORMS:
+        raise UsageError(
+            f"the report is a web page, no {target.suffix} file",
+            hint="Name it report.html, open it and print it: on paper it has sheets of"
+            " its own. Figures for a paper: --figures FOLDER.",
+            where=str(target),
         )
     check_output(target, inputs)
 

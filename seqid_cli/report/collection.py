@@ -99,6 +99,11 @@ class Collection:
         """The model that the report shows, if a parameter file was given."""
         return self.models[0] if self.models else None
 
+    @property
+    def is_about_a_model(self) -> bool:
+        """True unless plans and payloads alone were given, which are judged alone."""
+        return bool(self.models or self.predictions or self.diagnoses)
+
     def place(self, joint: str) -> Place:
         """Return a joint with its units."""
         return Place(

@@ -119,6 +119,32 @@ def judge(collection: Collection) -> Judgement:
     )
 
 
+def judge_results(collection: Collection) -> Judgement:
+    """Judge plans and payloads by their own verdicts, where nothing else is given."""
+    verdicts = [(x.path, x.content.verdicts) for x in collection.payloads]
+    verdicts += [(x.path, x.content.verdicts) for x in collection.plans]
+    points = []
+    for path, of_file in verdicts:
+        for verdict in of_file:
+            if verdict.good:
+                continue
+            point = Point(
+                weight="poor" if verdict.level == "poor" else "open",
+                text=f"{verdict.joint}: {verdict.reason}".removeprefix(": "),
+                where=path,
+            )
+            points.append(point)
+    points += [Point(weight="open", text=warning) for warning in collection.warnings]
+    points.sort(key=lambda point: point.weight != "poor")
+
+    level: Level = "good"
+    sentence = "Nothing in these files speaks against their use."
+    if points:
+        level = "poor" if points[0].weight == "poor" else "reservations"
+        sentence = points[0].said
+    return Judgement(level, sentence, (), tuple(points))
+
+
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     """Return the logs that judge the model: not those it was identified from."""
     used = {item.sha256 for item in prediction.content.parameters}
@@ -365,9 +391,15 @@ def _excitation_points(model: Model) -> Iterator[Point]:
             pairs = [" with ".join(pair) for pair in stage.missing_pairs]
             yield Point(
                 weight="open",
-                text=f"joints that never moved together: {listed(pairs)}",
+                text=(
+                    "what is open shows where these joints move together, fast and over"
+                    f" wide positions: {listed(pairs)}"
+                ),
                 where=model.path,
-                remedy="Record these pairs, two joints at a time.",
+                remedy=(
+                    "Record these pairs, two joints at a time; the postures that the"
+                    " logs lack come from seqid plan inertia."
+                ),
             )
 
 

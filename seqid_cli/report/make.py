@@ -9,7 +9,7 @@ from seqid_cli.errors import InputError, UsageError
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
-from seqid_cli.report.judgement import judge
+from seqid_cli.report.judgement import judge, judge_results
 from seqid_cli.report.sections.diagnosis import closed_loop, diagnosis
 from seqid_cli.report.sections.friction import friction
 from seqid_cli.report.sections.imu import imu
@@ -54,25 +54,31 @@ def make_report(
     """
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
-    judgement = judge(collection)
-    sections = [
-        overview(collection, judgement),
-        pipeline(collection),
-        torque(collection, tables, notes),
-        friction(collection),
-        parameters(collection),
-        imu(collection),
-        diagnosis(collection),
-        closed_loop(collection),
-    ]
     # None where no file of one is given
     results = (payload(collection), plan(collection))
-    sections += [section for section in results if section is not None]
+    sections = [section for section in results if section is not None]
+    if collection.is_about_a_model:
+        judgement = judge(collection)
+        of_model = [
+            torque(collection, tables, notes),
+            friction(collection),
+            parameters(collection),
+            imu(collection),
+            diagnosis(collection),
+            closed_loop(collection),
+        ]
+        sections = [*of_model, *sections]
+        subject = "Dynamic model"
+    else:
+        judgement = judge_results(collection)
+        subject = " and ".join(section.title for section in sections)
+    sections = [overview(collection, judgement), pipeline(collection), *sections]
 
     robot = collection.robot
     facts = [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"]
     return Page(
         title=title or robot.name,
+        subject=subject,
         about=facts,
         judgement=judgement,
         sections=sections,

@@ -23,7 +23,9 @@ _COLOUR = re.compile(r"--([\w-]+):(#\w+)")
 _DARK = re.compile(r"^@media \(prefers-color-scheme:dark\).*?\}\}$", re.DOTALL | re.M)
 _VIEW_BOX = re.compile(r'viewBox="0 0 ([0-9]+) ([0-9]+)"')
 # Marks of the legend that are areas; the others are lines.
-_AREAS = frozenset({"band-residual", "faint", "event", "unused", "before", "after"})
+_AREAS = frozenset(
+    ["band-residual", "faint", "event", "unused", "before", "after", "plus", "minus"],
+)
 # Of the legend, in units of the drawing: a line of text, a mark, what lies between.
 _LINE, _MARK, _SPACE = 18.0, 18.0, 6.0
 _LETTER = 6.2  # mean width of a letter of 12 units

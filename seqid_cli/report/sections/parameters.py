@@ -11,6 +11,7 @@ from seqid_cli.params.results.tables import Head, Values, heads, of_joints
 from seqid_cli.params.schema import EffectOfJoint, RigidStage
 from seqid_cli.report import views, words
 from seqid_cli.report.collection import Collection, Model
+from seqid_cli.report.sections.correlation import correlation_figure
 from seqid_cli.report.views import VALUE_HEADS, Absent, Group, Section, Table, value_row
 
 _TITLES = {"gravity": "Gravity", "inertia": "Inertia"}
@@ -96,6 +97,7 @@ def _rigid_group(name: str, stage: RigidStage, collection: Collection) -> Group:
         badge=state,
         badge_text=state if stage.parameters else "nothing to identify",
         facts=_facts(stage),
+        figures=[correlation_figure(stage, title)],
         tables=[
             _parameter_table(name, stage, collection.models[1:]),
             Table(caption=f"{title}: error of the fit per joint", values=errors),

@@ -12,14 +12,17 @@ from seqid_cli.errors import ConfigError, SeqidWarning, UsageError
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_parameters
-from seqid_cli.params.schema import EffectOfJoint, Parameter, SpeedLevel
+from seqid_cli.params.schema import EffectOfJoint, Parameter, SpeedLevel, Verdict
 from seqid_cli.report import report, standalone
 from seqid_cli.report.collection import Place
 from seqid_cli.report.latex import parameter_table
+from seqid_cli.report.make import make_report
+from seqid_cli.report.sections.correlation import correlation_figure
 from seqid_cli.report.sections.friction import _points_at, friction_figures
 from seqid_cli.report.views import Figure
 from seqid_cli.report.words import Z95
-from tests.unit.params.documents import friction_file, full_file
+from tests.unit.params.documents import friction_file, full_file, rigid_stage
+from tests.unit.report.pages import plan_file, source
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -170,3 +173,43 @@ def test_points_of_another_shape_are_refused(tmp_path: Path) -> None:
     path.write_text(encode(file))
     with pytest.raises(ConfigError, match=r"speeds\[0\].points: must have rows of 4"):
         read_parameters(path)
+
+
+def test_correlations_are_drawn_and_the_strongest_told() -> None:
+    stage = rigid_stage()
+    stage.parameters = [
+        Parameter(name=name, value=1.0, std_error=0.1, unit="kg m")
+        for name in ("mx_1", "my_1", "mx_2")
+    ]
+    assert correlation_figure(stage, "Gravity") is None  # no covariance of three
+    correlation = np.array([[1.0, -0.95, 0.05], [-0.95, 1.0, 0.5], [0.05, 0.5, 1.0]])
+    deviations = np.array([0.1, 2.0, 30.0])
+    stage.covariance = (correlation * np.outer(deviations, deviations)).tolist()
+    drawn = correlation_figure(stage, "Gravity")
+    cells = list(ElementTree.fromstring(drawn.drawing).iter("rect"))
+    assert [cell.get("class") for cell in cells] == ["cell minus", "cell plus"]
+    assert [cell.get("fill-opacity") for cell in cells] == ["0.95", "0.50"]
+    assert "my_1 with mx_1" in drawn.note
+    assert [list(row)[:2] for row in drawn.table.rows] == [["my_1", "mx_1"]]
+    stage.covariance[0][0] = 0.0
+    assert correlation_figure(stage, "Gravity") is None
+
+
+def test_a_plan_alone_is_a_page_of_plans() -> None:
+    """No section on what nobody gave, and the plan's own verdict."""
+    file = plan_file()
+    page = make_report([source("plan.json", file)])
+    assert [section.id for section in page.sections] == ["verdict", "pipeline", "plan"]
+    assert page.judgement.level == "good"
+    assert "What to record next" in page.html
+    file.verdicts = [Verdict(joint="", good=False, reason="rank 3 of 4")]
+    poor = make_report([source("plan.json", file)])
+    assert poor.judgement.level == "poor"
+    assert poor.judgement.sentence == "Rank 3 of 4."
+
+
+def test_a_page_is_no_pdf(parameters: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="web page") as raised:
+        report(parameters, tmp_path / "report.pdf")
+    assert "print it" in raised.value.hint
+    assert not (tmp_path / "report.pdf").exists()

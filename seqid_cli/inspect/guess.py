@@ -51,7 +51,7 @@ def guess(contents: LogContents) -> Guess:
     defaults = tuple(
         joint for joint, dot, quantity in ends if dot and quantity == "position"
     )
-    if defaults or not joints:
+    if defaults or contents.joints or not joints:
         return Guess(
             joints=defaults or contents.joints,
             patterns={},

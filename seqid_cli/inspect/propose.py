@@ -101,7 +101,7 @@ def propose(
         name=name,
         joints=joints,
         urdf=urdf_path if pairs else None,
-        effort=_effort(contents, inspected),
+        effort=_effort(contents, inspected, log_names),
         imus=guessed.imus,
         channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in names),
@@ -160,13 +160,19 @@ def _time_unit(
     return ""
 
 
-def _effort(contents: LogContents, inspected: Mapping[str, InspectedJoint]) -> str:
+def _effort(
+    contents: LogContents,
+    inspected: Mapping[str, InspectedJoint],
+    log_names: Sequence[str],
+) -> str:
     """Return what the log has of torque: "torque", "current", "effort", or nothing."""
     efforts = [joint.effort for joint in inspected.values() if joint.effort]
     if not efforts:
         return ""
-    # The effort of a message may be either.
-    return efforts[0] if contents.columns else "effort"
+    # The effort of a message, or of a column that is called so, may be either.
+    scheme = find_scheme(log_names, contents.columns)
+    is_effort = scheme is not None and "effort" in scheme.columns
+    return "effort" if is_effort or not contents.columns else efforts[0]
 
 
 def _driven(

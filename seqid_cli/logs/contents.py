@@ -20,7 +20,7 @@ class LogContents:
 
     format: str
     channels: tuple[str, ...]  # columns of a table, or topics
-    joints: tuple[str, ...]  # that messages or a LeRobot data set name, in its order
+    joints: tuple[str, ...]  # that messages, rows or a LeRobot data set name, in order
     columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
     # that may carry joint states, where none does for sure; the first has `joints`
     state_topics: tuple[str, ...] = ()
@@ -31,13 +31,13 @@ def contents_of(path: Path) -> LogContents:
     log = LogFile.at(path)
     kind = log.format
     file = log.file
-    if kind in ("parquet", "csv"):
-        if kind == "parquet":
-            channels = parquet.list_columns(file)
-            columns = parquet.open_table(file).names
-        else:
-            channels = columns = read_form(file).names
-        return LogContents(kind, channels, _lerobot_joints(file, columns), columns)
+    if kind == "parquet":
+        table = parquet.open_table(file)
+        joints = tuple(table.entries) or _lerobot_joints(file, table.names)
+        return LogContents(kind, parquet.list_columns(file), joints, table.names)
+    if kind == "csv":
+        form = read_form(file)
+        return LogContents(kind, form.names, tuple(form.places), form.columns)
 
     list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
     contents = list_topics(file)

@@ -25,6 +25,10 @@ TimeSource = Literal["header", "log"]
 STAMP_LIMIT_NS = 4_000_000_000_000_000_000  # year 2096; differences stay inside 64 bits
 ACCELEROMETERS = "accelerometers"
 GYRO = "gyro"
+OTHER_NAMES = (  # what to do where a log has other names of joints than the robot file
+    'Say in the robot file how the log names them: [channels] prefix = "left_", or'
+    ' names = ["...", "..."] in the order of the joints.'
+)
 
 # An interval between samples is a gap where it is longer than so many median intervals,
 # and than 20 ms, over which the curve itself follows an arm.

@@ -20,7 +20,7 @@ from seqid_cli.logs.mcap.topics import (
     usual_joint_topic,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
-from seqid_cli.logs.raw import RawLog, Stream, TimeSource, partly_logged
+from seqid_cli.logs.raw import OTHER_NAMES, RawLog, Stream, TimeSource, partly_logged
 from seqid_cli.robot.toml_schema import Channels, Interfaces
 from seqid_cli.robot.types import Imu, Robot
 
@@ -306,8 +306,7 @@ def _no_positions(names: NameMap, path: Path) -> InputError:
     return InputError(
         "the joint states hold no position of any joint of the robot"
         f" ({wanted}); names in the log: {logged}",
-        hint="Say in the robot file how the log names them: [channels]"
-        ' prefix = "left_", or names = ["...", "..."] in the order of the joints.',
+        hint=OTHER_NAMES,
         where=str(path),
     )
 

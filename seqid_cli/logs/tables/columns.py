@@ -40,6 +40,11 @@ _TEXTS = (
 _TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 _HINT = "Write it as float64 in SI units; time also as a timestamp."
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+DAY_NS = 86_400 * NS_PER["s"]
+_OF_DAY = (
+    r"^\s*(?P<hours>[0-9]{1,3}):(?P<minutes>[0-5][0-9]):(?P<seconds>[0-5][0-9])"
+    r"(?:[.,](?P<fraction>[0-9]{1,12}))?\s*$"
+)
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
 _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 
@@ -133,6 +138,8 @@ def read_stamps(
         kind = column(table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):
         stamps, is_usable = _from_counts(where, table, time.name, NS_PER[kind.unit])
+        if pa.types.is_time(kind):
+            stamps = _over_midnight(stamps, is_usable)
     elif time.nanoseconds is not None:
         nanoseconds = numbers(where, table, time.nanoseconds)
         seconds = numbers(where, table, time.name)
@@ -155,6 +162,42 @@ def read_stamps(
             f"{n_lost} rows without a usable time in column {time.name!r} were left out"
         )
     return np.where(is_usable, stamps, 0), np.flatnonzero(is_usable), warnings
+
+
+def times_of_day(texts: pa.ChunkedArray) -> pa.ChunkedArray | None:
+    """Return times of texts such as 13:05:07.250; None where most have another form.
+
+    Hours may have one digit. Texts of more than 24 hours are durations. Raises
+    ValueError, with the first text of another form, where there are a few.
+    """
+    parts = pc.extract_regex(texts, _OF_DAY)
+    if parts.null_count > len(parts) // 2:
+        return None
+    others = texts.filter(pc.and_(parts.is_null(), texts.is_valid()))
+    if len(others):
+        raise ValueError(others[0].as_py())
+    flat = parts.combine_chunks()
+    hours, minutes, seconds = (
+        pc.cast(flat.field(name), pa.int64())
+        for name in ("hours", "minutes", "seconds")
+    )
+    fraction = pc.utf8_rpad(flat.field("fraction"), 9, "0")
+    fraction = pc.cast(pc.utf8_slice_codeunits(fraction, 0, 9), pa.int64())
+    whole_s = pc.add(pc.multiply(pc.add(pc.multiply(hours, 60), minutes), 60), seconds)
+    ns = pc.add(pc.multiply(whole_s, NS_PER["s"]), fraction)
+    ns = pc.if_else(flat.is_valid(), ns, pa.scalar(None, pa.int64()))
+    latest_ns = pc.max(ns).as_py() or 0
+    kind = pa.time64("ns") if latest_ns < DAY_NS else pa.duration("ns")
+    return pa.chunked_array([pc.cast(ns, kind)])
+
+
+def _over_midnight(stamps: Stamps, is_usable: Mask) -> Stamps:
+    """Let times of the day run on over midnight: back by half a day or more is one."""
+    moved = stamps.copy()
+    times = stamps[is_usable]
+    days = np.cumsum(np.diff(times, prepend=times[:1]) < -DAY_NS // 2)
+    moved[is_usable] += days * DAY_NS
+    return moved
 
 
 def _unit(

@@ -162,12 +162,14 @@ EPISODES = ("episode_index", "episode_id", "episode")
 class Scheme:
     """How one logger names its columns.
 
-    `patterns` of a quantity are tried one after the other. `time_unit` is that of a
-    time column whose name does not say. Where `of_lists`, joints are the elements of
-    list columns, and the log may say which element is whose.
+    `patterns` of a quantity are tried one after the other. `time` is the column of the
+    time where that is not the only one named so. `time_unit` is that of a time column
+    whose name does not say. Where `of_lists`, joints are the elements of lists, and the
+    log may say which element is whose.
     """
 
     patterns: Mapping[str, tuple[str, ...]]
+    time: str | None = None
     time_unit: str | None = None
     of_lists: bool = False
 
@@ -176,6 +178,7 @@ def _scheme(
     form: str,
     words: Mapping[str, str],
     *,
+    time: str | None = None,
     time_unit: str | None = None,
     of_lists: bool = False,
 ) -> Scheme:
@@ -184,7 +187,7 @@ def _scheme(
         quantity: tuple(form.replace("*", word) for word in listed.split())
         for quantity, listed in words.items()
     }
-    return Scheme(patterns=patterns, time_unit=time_unit, of_lists=of_lists)
+    return Scheme(patterns=patterns, time=time, time_unit=time_unit, of_lists=of_lists)
 
 
 _NAMED = {name: words.named for name, words in _WORDS.items() if words.named}
@@ -203,11 +206,28 @@ SCHEMES = (
     # One column for each joint, whatever its brackets look like.
     _scheme("state.*[{index0}]", _FRANKA, time_unit="ms"),
     _scheme("observation.*[{index0}]", _LEROBOT, of_lists=True),
+    # Messages as rostopic prints them; see `echoed`.
+    _scheme(
+        "field.*{index0}",
+        {quantity: quantity for quantity in ("position", "velocity", EFFORT)},
+        time="field.header.stamp",
+        time_unit="ns",
+        of_lists=True,
+    ),
     _scheme("*_{index0}", _NUMBERED),
     _scheme("*_{index}", _NUMBERED),
     _scheme("*{index0}", _NUMBERED),
     _scheme("*{index}", _NUMBERED),
     _scheme("*[{index0}]", _NUMBERED, of_lists=True),
+    # A message as a struct of lists.
+    _scheme("joint_states.*[{index0}]", _NUMBERED, of_lists=True),
+    _scheme("joint_state.*[{index0}]", _NUMBERED, of_lists=True),
+)
+# Columns of lists of names, which say whose the elements of the other lists are.
+NAME_COLUMNS = tuple(
+    struct + name
+    for struct in ("", "joint_states.", "joint_state.")
+    for name in ("name", "names", "joint_names")
 )
 
 
@@ -217,6 +237,7 @@ class Match:
 
     # the column of each joint, by quantity; None where a joint lacks one
     columns: dict[str, list[str | None]]
+    time: str | None  # its time column, where that is not the only one named so
     time_unit: str | None  # of its time column where the name does not say
 
 
@@ -255,7 +276,7 @@ def find_scheme(
             if names is not None:
                 columns[quantity] = names
         if "position" in columns:
-            return Match(columns, scheme.time_unit)
+            return Match(columns, scheme.time, scheme.time_unit)
     return None
 
 

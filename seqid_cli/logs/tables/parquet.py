@@ -6,7 +6,6 @@ above its data files.
 """
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,17 +18,15 @@ import pyarrow.parquet as pq
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
-from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
-from seqid_cli.logs.tables.table import TableFile, read_table
+from seqid_cli.logs.tables.csv_form import LONGEST_LIST
+from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS
+from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
 from seqid_cli.robot.types import Robot
 
-_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
 BLOCK_ROWS = 65_536
-_LONGEST = 256  # elements of a list column that can be one number per joint
 _LARGEST = 16 << 20  # bytes of an info.json
 # What stands behind a joint's name where a file names the elements of its lists.
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
-_NAME_COLUMNS = ("name", "names", "joint_names")
 
 
 def lerobot_names(path: Path) -> list[str]:
@@ -52,13 +49,16 @@ def lerobot_names(path: Path) -> list[str]:
 
 def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
     """Return the joints that a column of string lists names, alike in all rows."""
-    schema = file.schema_arrow
-    for column in _NAME_COLUMNS:
-        kind = schema.field(column).type if column in schema.names else pa.null()
+    schema = _flattened(file.schema_arrow.empty_table()).schema
+    for column in NAME_COLUMNS:
+        if schema.names.count(column) != 1:
+            continue
+        kind = schema.field(column).type
         if not pa.types.is_list(kind) or not pa.types.is_string(kind.value_type):
             continue
 
-        rows = file.read(columns=[column]).column(0).to_pylist()
+        table = _flattened(file.read(columns=[column]))
+        rows = table.column(column).to_pylist()
         names_by_row = [row for row in rows if row]
         if not names_by_row:
             return []
@@ -84,7 +84,7 @@ class ParquetTable(TableFile):
         self, columns: Sequence[str], rows: int | None
     ) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
-        element_of = self._elements(columns)
+        element_of = elements_in(columns, self.lists)
         list_columns = dict.fromkeys(name for name, _ in element_of.values())
         plain_columns = [name for name in columns if name not in element_of]
         for table in read_tables(self.path, [*list_columns, *plain_columns], rows=rows):
@@ -98,15 +98,6 @@ class ParquetTable(TableFile):
             for name, (list_column, k) in element_of.items():
                 values[name] = pa.chunked_array([matrices[list_column][:, k]])
             yield pa.table(values), ""
-
-    def _elements(self, columns: Sequence[str]) -> dict[str, tuple[str, int]]:
-        """Return the list column and the place in it of names such as `column[k]`."""
-        element_of = {}
-        for name in columns:
-            match = _ELEMENT.fullmatch(name)
-            if match is not None and match["list"] in self.lists:
-                element_of[name] = (match["list"], int(match["index"]))
-        return element_of
 
     def _matrix(self, table: pa.Table, name: str) -> Array:
         """Return a list column as (M, length), rows without a list as NaN."""
@@ -216,17 +207,16 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
                 if length:
                     lists[each.name] = length
             is_lerobot = LEROBOT_STATE in lists
-            element_names = (
-                lerobot_names(path) if is_lerobot else _name_column(path, file)
-            )
+            names_in_rows = [] if is_lerobot else _name_column(path, file)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
 
-    entries = _entries(joints, element_names)
+    entries = {name: place for place, name in enumerate(names_in_rows)}
     notes: tuple[str, ...] = ()
-    if len(entries) < len(joints):
-        entries = {}
-        if is_lerobot:
+    if is_lerobot:
+        entries = _entries(joints, lerobot_names(path))
+        if len(entries) < len(joints):
+            entries = {}
             notes = (
                 f"{LEROBOT_STATE}: values are taken in the order of the robot file",
             )
@@ -234,7 +224,12 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     for name, length in lists.items():
         names += [f"{name}[{k}]" for k in range(length)]
     return ParquetTable(
-        path=path, names=tuple(names), entries=entries, notes=notes, lists=lists
+        path=path,
+        names=tuple(names),
+        entries=entries,
+        named=bool(names_in_rows),
+        notes=notes,
+        lists=lists,
     )
 
 
@@ -277,18 +272,19 @@ def _list_length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     length = 0
     if pa.types.is_fixed_size_list(kind):
         length = int(kind.list_size)
-    # Not for a list inside a struct, or two columns of one name.
-    elif file.schema_arrow.names.count(name) == 1:
+    # Not for two columns of one name.
+    elif file.schema_arrow.names.count(name.split(".")[0]) <= 1:
         length = _first_length(file, name)
-    return length if length <= _LONGEST else 0
+    return length if length <= LONGEST_LIST else 0
 
 
 def _first_length(file: pq.ParquetFile, name: str) -> int:
     """Return the length of the first list that is not null, 0 where there is none."""
     for batch in file.iter_batches(batch_size=1024, columns=[name]):
-        if not batch.num_columns:
+        table = _flattened(pa.Table.from_batches([batch]))  # it may be in a struct
+        if name not in table.column_names:
             continue
-        lists = batch.column(0).drop_null()
+        lists = table.column(name).drop_null()
         if len(lists):
             return len(lists[0])
     return 0

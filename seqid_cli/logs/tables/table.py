@@ -5,8 +5,9 @@ tells (`naming_schemes`). M is the number of rows.
 """
 
 import difflib
+import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import pyarrow as pa
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, RawLog, Stream
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, OTHER_NAMES, RawLog, Stream
 from seqid_cli.logs.tables import naming_schemes as schemes
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
@@ -27,6 +28,7 @@ from seqid_cli.typing import Array
 
 ROWS = "the rows"  # the name of a table's streams, for messages
 _SHOWN = 6  # missing columns that a message lists
+_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +37,22 @@ class TableFile:
 
     path: Path
     names: tuple[str, ...]  # elements of list columns as `column[k]`
-    # of joints in lists, if named
+    # place in lists of each joint that the file names
     entries: Mapping[str, int] = field(default_factory=dict)
+    named: bool = False  # whether rows name the joints, which must be the robot's then
     notes: tuple[str, ...] = ()  # what was noticed
 
     @property
     def where(self) -> str:
         """The file, for messages."""
         return str(self.path)
+
+    def column(self, name: str) -> str:
+        """Return the name of a column that the robot file gives by name or number."""
+        if name not in self.names and re.fullmatch("[1-9][0-9]{0,4}", name):
+            place = int(name) - 1
+            return self.names[place] if place < len(self.names) else name
+        return name
 
     @abstractmethod
     def tables(
@@ -72,6 +82,18 @@ class Plan:
             names += imu.gyro
         names.append(self.episode)
         return list(dict.fromkeys(name for name in names if name is not None))
+
+
+def elements_in(
+    columns: Sequence[str], lists: Collection[str]
+) -> dict[str, tuple[str, int]]:
+    """Return the list column and the place in it of names such as `column[k]`."""
+    element_of = {}
+    for name in columns:
+        match = _ELEMENT.fullmatch(name)
+        if match is not None and match["list"] in lists:
+            element_of[name] = (match["list"], int(match["index"]))
+    return element_of
 
 
 def read_table(
@@ -176,6 +198,8 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     joints = robot.log_names
     match = schemes.find_scheme(joints, log_columns, file.entries)
     if match is None and robot.channels.position is None:
+        if file.named:
+            raise other_joints(file.where, joints, list(file.entries))
         nearest = schemes.nearest_scheme(joints, log_columns)
         raise missing_columns(file.where, nearest, file.names)
 
@@ -217,7 +241,9 @@ def _joint_columns(
         pattern: Columns | None = getattr(robot.channels, quantity)
         if pattern is None:
             continue
-        declared = [column_name(pattern, name, k) for k, name in enumerate(joints)]
+        declared = [
+            file.column(column_name(pattern, name, k)) for k, name in enumerate(joints)
+        ]
         missing = [name for name in declared if name not in log_columns]
         if missing:
             raise missing_columns(file.where, missing, file.names)
@@ -242,7 +268,9 @@ def _time_column(
 
     candidates = list(unit_by_name)
     if channels.time is not None:
-        candidates = [str(channels.time)]
+        candidates = [file.column(str(channels.time))]
+    elif match is not None and match.time in file.names:
+        candidates = [match.time]
     if len(candidates) > 1:
         raise InputError(
             f"the time column is ambiguous: {' or '.join(candidates)}",
@@ -250,17 +278,29 @@ def _time_column(
             where=file.where,
         )
 
-    if not candidates:
-        parts = schemes.stamp_parts(file.names)
-        if parts is not None:
-            seconds, nanoseconds = parts
-            return TimeColumn(seconds, "s", sure=True, nanoseconds=nanoseconds)
+    parts = schemes.stamp_parts(file.names)
+    if parts is not None and candidates in ([], [parts[0]]):
+        seconds, nanoseconds = parts
+        return TimeColumn(seconds, "s", sure=True, nanoseconds=nanoseconds)
 
     name = candidates[0] if candidates else "t"
     if name not in file.names:
         raise missing_columns(file.where, [name], file.names, what="[channels] time")
     unit = channels.time_unit or unit_by_name.get(name)
     return TimeColumn(name, unit or unit_of_format, sure=unit is not None)
+
+
+def other_joints(
+    where: str, wanted: Sequence[str], logged: Sequence[str]
+) -> InputError:
+    """Make the error for a log of joints that are not those of the robot file."""
+    lacking = [name for name in wanted if name not in logged] or list(wanted)
+    return InputError(
+        f"no joint {', '.join(lacking[:_SHOWN])}; names in the log:"
+        f" {', '.join(logged[:12])}",
+        hint=OTHER_NAMES,
+        where=where,
+    )
 
 
 def missing_columns(

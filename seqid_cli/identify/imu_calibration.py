@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.log_set import mapped
+from seqid_cli.identify.log_set import LogSet, mapped
 from seqid_cli.identify.settings import ImuCalibSettings, MountingSettings
 from seqid_cli.identify.tolerances import deviations
 from seqid_cli.imu.array import layout
@@ -32,12 +32,16 @@ from seqid_cli.imu.calibration.segments import (
 from seqid_cli.imu.calibration.solve import Fit, fit_constants
 from seqid_cli.imu.link_velocity import axes_in_link
 from seqid_cli.imu.sensor import MOTION
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, every
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
+
+# Findings of readings that no calibration can be made of.
+NO_READINGS = frozenset({"imu_slow", "imu_without_gravity", "imu_in_g"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +101,10 @@ def calibrate_imus(
     imus: dict[str, schema.ImuCalibration] = {}
     verdicts = []
     notes = []
+    unusable = _unusable(recordings)
     for imu in robot.imus:
+        if imu.name in unusable:
+            continue  # the findings are its verdict
         imu_logs = [log.imus[imu.name] for log in logs if imu.name in log.imus]
         segments = [segment for data in imu_logs for segment in data.segments]
         if not any(segment.moving for segment in segments):
@@ -111,6 +118,10 @@ def calibrate_imus(
             robot, imu, imus[imu.name], converged=converged, settings=settings.mounting
         )
         verdicts.append(verdict)
+    if not imus and unusable:
+        finding = next(iter(unusable.values()))
+        message = f"{finding.joint} {finding.message}"
+        raise QualityError(message, hint=finding.remedy, where=finding.log)
     if not imus:
         message = "no log moves a joint before an IMU with its readings recorded"
         hint = (
@@ -120,6 +131,19 @@ def calibrate_imus(
         raise QualityError(message, hint=hint)
     cutoff = float(np.median([log.cutoff_hz for log in logs]))
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
+
+
+def _unusable(recordings: Iterable[Recording]) -> dict[str, InspectionFinding]:
+    """Return why IMUs are not calibrated, by their names: what their readings are.
+
+    Only a `LogSet` that was read knows it.
+    """
+    findings = recordings.findings if isinstance(recordings, LogSet) else []
+    return {
+        finding.joint: finding
+        for finding in reversed(findings)
+        if finding.code in NO_READINGS
+    }
 
 
 def _log_data(
@@ -137,20 +161,44 @@ def _log_data(
         if imu.name not in recording.accelerometers:
             continue
         recorded = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
+        # Between its own samples a slower IMU is a curve, which has no noise: of the
+        # joints as many samples count as of the IMU.
+        stride = _samples_per_reading(recording, imu)
+        at_readings = every(recording, stride)
+        its_motion = motion
+        if stride > 1:
+            its_motion = estimate_motion(at_readings, robot, options)
+            its_cutoff_hz = calibration_cutoff(
+                its_motion, options.cutoff_hz, highest_hz
+            )
+            cutoff_hz = min(cutoff_hz, its_cutoff_hz)
         segments = segments_of(
-            recording, robot, recorded, motion, log=number, cutoff_hz=cutoff_hz
+            at_readings, robot, recorded, its_motion, log=number, cutoff_hz=cutoff_hz
         )
         # Other layouts do not see angular acceleration.
         pairs: list[initial_guess.Pair] = []
         density = 0.0
         if layout(recorded).acceleration or recorded.gyro:
             pairs, density = initial_guess.axis_pairs(
-                recording, robot, recorded, motion
+                at_readings, robot, recorded, its_motion
             )
         imus[imu.name] = _ImuData(
             log=str(recording.path), segments=segments, pairs=pairs, density=density
         )
     return _LogData(imus=imus, cutoff_hz=cutoff_hz)
+
+
+def _samples_per_reading(
+    recording: Recording, imu: Imu, *, tolerance: float = 0.05
+) -> int:
+    """Return the samples of the time base for each of an IMU that is slower.
+
+    `tolerance` is the share by which two clocks may differ.
+    """
+    imu_rate_hz = recording.health.imu_rates_hz.get(imu.name, 0.0)
+    if imu_rate_hz <= 0.0:
+        return 1
+    return max(1, int(recording.rate_hz / imu_rate_hz + tolerance))
 
 
 def _calibrated(

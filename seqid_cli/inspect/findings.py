@@ -73,6 +73,14 @@ ERRORS: Mapping[str, str] = {
     "imu_no_overlap": "Let both use one clock, or use --time log.",
     "imu_missing_values": "Check cable and driver, or take it out of the robot file.",
     "imu_stuck": "Check the sensor; take the channel out of the robot file.",
+    "imu_slow": (
+        "Raise its output rate, to that of the joints or 100 Hz, or take it out of the"
+        " robot file."
+    ),
+    "imu_without_gravity": (
+        "Record the accelerations as they are measured, gravity in them, not linear"
+        " acceleration of the sensor's own fusion."
+    ),
     "imu_in_g": "Multiply by 9.80665 (0.00980665).",
     "imu_channel_flipped": "Reverse the channel, or its axis in the robot file.",
     "imu_channels_swapped": (
@@ -133,6 +141,9 @@ WARNINGS: Mapping[str, str] = {
     ),
     "imu_layout": "Move accelerometers off the common point or line, or use a gyro.",
     "imu_saturated": "Use a larger range, or slower moves.",
+    "imu_alternates": (
+        "Let one message hold both, or record a topic for each; both are used."
+    ),
     "imu_gravity": "Calibrate the accelerometers; check the axes in the robot file.",
     "imu_channel_wrong": "Check its axis in the robot file, its scale and its offset.",
     "imu_not_moving": (

@@ -253,20 +253,12 @@ def _imus(data: LogData, link_fits: Sequence[LinkFit]) -> Iterator[InspectedImu]
         has_gyro = imu.name in data.recording.gyros
         if values is None and not has_gyro:
             continue
-        # Of the accelerometers and the gyro of an IMU the slower one counts.
-        streams = data.raw.imus.get(imu.name, ())
-        intervals_ns = [
-            float(np.median(np.diff(stream.stamp_ns)))
-            for stream in streams
-            if len(stream) > 1
-        ]
-        slowest_ns = max(intervals_ns, default=0.0)
         delays = [fit.delay for fit in link_fits if fit.imu.name == imu.name]
         yield InspectedImu(
             name=imu.name,
             accelerometers=0 if values is None else values.shape[1],
             gyro=has_gyro,
-            rate_hz=1e9 / slowest_ns if slowest_ns > 0 else 0.0,
+            rate_hz=data.recording.health.imu_rates_hz.get(imu.name, 0.0),
             rest_norm=_rest_norm(data, imu, values),
             delay_s=delays[0] if delays else None,
         )

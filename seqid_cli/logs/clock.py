@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.logs.even_stamps import evened
+from seqid_cli.logs.even_stamps import EvenStream, evened
 from seqid_cli.logs.raw import Array, Rows, Stamps, Stream, gap_limit
 
 NS = 1_000_000_000  # per second
@@ -24,14 +24,16 @@ class TidyStream:
     steps_back: int  # in time, as the samples came
     duplicates: int  # samples dropped because they repeat a stamp
     warnings: list[str]
+    even: EvenStream | None  # the stream before samples were merged, if laid evenly
 
 
-def tidy(stream: Stream) -> TidyStream:
+def tidy(stream: Stream, joints: EvenStream | None = None) -> TidyStream:
     """Sort a stream by stamp, lay it evenly, and merge samples of equal stamp.
 
-    Samples that are more even than a coarse clock says are laid evenly. Of merged
-    samples the first that holds a joint's value gives it. Where the clock was set back,
-    only the longest stretch of one pass is kept.
+    Samples that are more even than a coarse clock says are laid evenly, as the `joints`
+    were where they have the same stamps. Of merged samples the first that holds a
+    joint's value gives it. Where the clock was set back, only the longest stretch of
+    one pass is kept.
     """
     warnings: list[str] = []
     steps_back = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
@@ -41,10 +43,12 @@ def tidy(stream: Stream) -> TidyStream:
         warnings.append(f"{stream.name}: time steps back {steps_back} times; sorted")
 
     stream = _far_stamps_cut(stream, warnings)
-    even = evened(stream)
+    even = _as_joints(stream, joints)
+    if even is None:
+        even = evened(stream)
+        warnings += [even.warning] if even is not None else []
     if even is not None:
         stream = even.stream
-        warnings.append(even.warning)
 
     n_samples = len(stream)
     stream, duplicates, conflicts = _merged(stream)
@@ -55,7 +59,15 @@ def tidy(stream: Stream) -> TidyStream:
             f"{stream.name}: {conflicts} samples share a stamp with others but hold"
             " other values: the clock is too coarse; use the times of logging"
         )
-    return TidyStream(stream, steps_back, duplicates, warnings)
+    return TidyStream(stream, steps_back, duplicates, warnings, even)
+
+
+def _as_joints(stream: Stream, joints: EvenStream | None) -> EvenStream | None:
+    """Lay a stream as the joints were where it has their stamps; None where not."""
+    if joints is None or not np.array_equal(stream.stamp_ns, joints.stamps_before):
+        return None
+    even = replace(stream, stamp_ns=joints.stream.stamp_ns)
+    return replace(joints, stream=even)
 
 
 def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> Stream:

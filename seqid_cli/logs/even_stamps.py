@@ -27,9 +27,10 @@ IN_BURSTS = 0.99
 
 @dataclass(frozen=True, kw_only=True)
 class EvenStream:
-    """A stream with even stamps, and what was wrong with those that it had."""
+    """A stream with even stamps, those that it had, and what was wrong with them."""
 
     stream: Stream
+    stamps_before: Stamps
     warning: str
 
 
@@ -97,7 +98,9 @@ def evened(
         f" apart, though a sample comes every {1e-6 * step_ns:.3g} ms; the samples are"
         " laid evenly"
     )
-    return EvenStream(stream=replace(stream, stamp_ns=even), warning=warning)
+    return EvenStream(
+        stream=replace(stream, stamp_ns=even), stamps_before=stamps, warning=warning
+    )
 
 
 def _gap_limit(intervals: Array) -> float:

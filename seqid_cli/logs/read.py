@@ -13,6 +13,8 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.clock import tidy
+from seqid_cli.logs.even_stamps import EvenStream
+from seqid_cli.logs.imu_streams import rate_of, without_zeros
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.publishers import without_second_publisher
@@ -117,7 +119,8 @@ def assemble(
         N samples on one uniform time base; see `read_recording`.
     RawLog
         What was logged, without what no sensor reads: its M joint samples in the order
-        of time, with `tau` (M, n) [N m at the joint] beside their channels.
+        of time, with `tau` (M, n) [N m at the joint] beside their channels, and the
+        IMUs' in theirs.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def assemble(
         temperature = resample(logged, "temperature", base).values
 
     warnings += [*tidied.warnings, *repair.warnings]
-    imus = _read_imus(raw, robot, base, repair, warnings)
+    imus = _read_imus(raw, robot, base, tidied.even, repair, warnings)
     recording = Recording(
         path=path,
         sha256=digest,
@@ -176,6 +179,7 @@ def assemble(
             log_minus_header_s=raw.log_minus_header_s,
             warnings=tuple(dict.fromkeys(warnings)),
             mended=repair.warnings,
+            imu_rates_hz=imus.rates_hz,
         ),
         dq=dq,
         tau=tau,
@@ -188,7 +192,7 @@ def assemble(
         partial=raw.partial,
         bridged=_bridged(repair, base),
     )
-    return recording, replace(raw, joints=logged)
+    return recording, replace(raw, joints=logged, imus=raw.imus | imus.streams)
 
 
 def _check_positions(joints: Stream, robot: Robot, where: str) -> None:
@@ -309,31 +313,47 @@ def _of_all_joints(
     return None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _ImuReadings:
     """Readings of all IMUs on the time base."""
 
     accelerometers: dict[str, Array]  # (N, K) m/s^2 by IMU
     gyros: dict[str, Array]  # (N, 3) rad/s by IMU
     valid: Mask  # (N,) where all of them are measured
+    rates_hz: dict[str, float]  # of their own samples
+    streams: dict[str, tuple[Stream, ...]]  # in the order of time, mended
 
 
 def _read_imus(
-    raw: RawLog, robot: Robot, base: Base, repair: Mended, warnings: list[str]
+    raw: RawLog,
+    robot: Robot,
+    base: Base,
+    even_joints: EvenStream | None,
+    repair: Mended,
+    warnings: list[str],
 ) -> _ImuReadings:
-    """Bring the IMUs of the robot to the base; one that cannot be used is left out."""
+    """Bring the IMUs of the robot to the base; one that cannot be used is left out.
+
+    `even_joints`: the joint samples where they were laid evenly; IMUs that have their
+    stamps follow.
+    """
     by_quantity: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
     valid = np.ones(base.count, np.bool_)
+    rates_hz: dict[str, float] = {}
+    mended_streams: dict[str, tuple[Stream, ...]] = {}
     for imu in robot.imus:
         streams: list[Stream] = []
         clock_warnings: list[str] = []
         for stream in raw.imus.get(imu.name, ()):
-            tidied = tidy(without_absurd(stream, warnings))
+            readings = without_zeros(without_absurd(stream, warnings), warnings)
+            tidied = tidy(readings, even_joints)
             clock_warnings += tidied.warnings
             streams.append(_with_losses_of_joints(tidied.stream, repair))
         if not streams or not _is_usable(imu.name, streams, base, warnings):
             continue
 
+        rates_hz[imu.name] = rate_of(streams)
+        mended_streams[imu.name] = tuple(streams)
         for quantity, values_by_imu in by_quantity.items():
             parts = [
                 resample(stream, quantity, base)
@@ -344,7 +364,13 @@ def _read_imus(
                 values_by_imu[imu.name] = np.hstack([part.values for part in parts])
                 valid &= np.all([part.valid for part in parts], axis=0)
         warnings += clock_warnings
-    return _ImuReadings(by_quantity[ACCELEROMETERS], by_quantity[GYRO], valid)
+    return _ImuReadings(
+        accelerometers=by_quantity[ACCELEROMETERS],
+        gyros=by_quantity[GYRO],
+        valid=valid,
+        rates_hz=rates_hz,
+        streams=mended_streams,
+    )
 
 
 def _with_losses_of_joints(stream: Stream, repair: Mended) -> Stream:

@@ -33,6 +33,8 @@ class Health:
     log_minus_header_s: float | None = None
     warnings: tuple[str, ...] = ()
     mended: tuple[str, ...] = ()  # what was wrong with the motion and is put right
+    # Hz by IMU, of the samples that its readings are interpolated from
+    imu_rates_hz: dict[str, float] = field(default_factory=dict)
 
 
 Range = tuple[float, float]  # s since a log's first sample
@@ -264,6 +266,15 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
         fields["start"] = recording.start + offset_s
         pieces.append(piece_of(replace(recording, **fields), whole))
     return pieces
+
+
+def every(recording: Recording, stride: int) -> Recording:
+    """Return the recording with every `stride`-th sample, at a rate as much lower."""
+    if stride == 1:
+        return recording
+    fields = _samples_of(recording, slice(None, None, stride))
+    health = replace(recording.health, rate_hz=recording.rate_hz / stride)
+    return replace(recording, health=health, **fields)
 
 
 def _samples_of(recording: Recording, rows: slice) -> dict[str, Any]:

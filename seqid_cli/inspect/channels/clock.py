@@ -33,6 +33,7 @@ _WARNING_CODES: tuple[tuple[str, str], ...] = (
     (r"cannot be turned into torque", "drive_data_missing"),
     (r"do not overlap|covers \d+ % of the joints", "imu_no_overlap"),
     (r"is left out: .* has no", "imu_missing_values"),
+    (r"hold either acceleration or angular velocity", "imu_alternates"),
     (r"read as (ms|us|ns)$", ""),
 )
 # Holes that the reader lays between episodes [s].

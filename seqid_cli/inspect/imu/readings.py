@@ -39,6 +39,7 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
     for imu in data.robot.imus:
         of_channels = [*_channels(data, imu)]
         yield from of_channels
+        yield from _slow(data, imu)
 
         values = data.recording.accelerometers.get(imu.name)
         spans_space = np.linalg.matrix_rank(imu.axes) == 3
@@ -153,25 +154,59 @@ def force_of(imu: Imu, readings: Array) -> float:
     return float(np.median(np.linalg.norm(forces, axis=1)))
 
 
+def _slow(
+    data: LogData, imu: Imu, *, min_hz: float = 20.0, per_cutoff: float = 5.0
+) -> Iterator[InspectionFinding]:
+    """Find an IMU that is too slow for the motion: less than `per_cutoff` a period.
+
+    `min_hz` is what any IMU has at least.
+    """
+    rate_hz = data.recording.health.imu_rates_hz.get(imu.name, 0.0)
+    least_hz = min_hz
+    if data.motion is not None:
+        least_hz = max(min_hz, per_cutoff * data.motion.cutoff.hz)
+    # Two clocks differ a little.
+    if 0.0 < rate_hz < 0.99 * least_hz:
+        text = (
+            f"is too slow: {rate_hz:.3g} readings a second, this motion needs"
+            f" {least_hz:.3g}"
+        )
+        yield finding_of("imu_slow", text, imu.name)
+
+
+class _Sizes(NamedTuple):
+    """Sizes of the specific force [m/s^2]: usual ones, small ones and large ones."""
+
+    low: float
+    median: float
+    high: float
+
+
+def _sizes(imu: Imu, readings: Array) -> _Sizes:
+    """Return the sizes of the specific force by readings (R, K)."""
+    forces = readings @ np.linalg.pinv(imu.axes).T
+    norms = np.linalg.norm(forces, axis=1)
+    return _Sizes(*np.quantile(norms, (0.1, 0.5, 0.9)).tolist())
+
+
 def _force(
     data: LogData, imu: Imu, values: Array, *, at_rest: bool
 ) -> Iterator[InspectionFinding]:
     """Check the size of the specific force, and of gravity at rest."""
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
-    size = force_of(imu, rows) if len(rows) else 0.0
-    for unit, one_gravity in (("g", 1.0), ("mg", 1e3)):
-        if 0.8 * one_gravity < size < 1.2 * one_gravity:
-            text = (
-                f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are"
-                " expected"
-            )
-            yield finding_of("imu_in_g", text, imu.name)
-            return
-
-    if not at_rest:
+    if not len(rows):
         return
+    # A rest tells what the IMU reads of gravity alone. Without one the motion hides
+    # it, but gravity stays, so that the size never falls far.
     rest = rest_rows(data, values)
-    if not len(rest):
+    sizes = _sizes(imu, rest if len(rest) else rows)
+    fault = _of_size(sizes, is_rest=bool(len(rest)))
+    if fault is not None:
+        code, text = fault
+        yield finding_of(code, text, imu.name)
+        return
+
+    if not at_rest or not len(rest):
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
     norm = force_of(imu, rest)
@@ -182,6 +217,48 @@ def _force(
     elif abs(norm / gravity - 1.0) > max_error:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
         yield finding_of("imu_gravity", text, imu.name)
+
+
+def _of_size(
+    sizes: _Sizes,
+    *,
+    is_rest: bool,
+    max_rest: float = 0.05,
+    max_moving: float = 0.5,
+    max_even: float = 0.3,
+) -> tuple[str, str] | None:
+    """Return code and message where a specific force has not the size of gravity.
+
+    Parameters
+    ----------
+    sizes : _Sizes
+        At rest, or in motion.
+    is_rest : bool
+        Whether they are of rests.
+    max_rest, max_moving : float
+        Shares of gravity that are left of it where it is taken out, at rest and in
+        motion.
+    max_even : float
+        Share of large sizes that small ones have at most where gravity is taken out.
+    """
+    is_even = sizes.low > max_even * sizes.high
+    where = "at rest" if is_rest else "in the median"
+    for unit, one_gravity in (("g", 1.0), ("mg", 1e3)):
+        if 0.8 * one_gravity < sizes.median < 1.2 * one_gravity and is_even:
+            text = (
+                f"reads {sizes.median:.3g} {where}: it looks like {unit}, m/s^2 are"
+                " expected"
+            )
+            return "imu_in_g", text
+
+    share = sizes.median / STANDARD_GRAVITY
+    if share < (max_rest if is_rest else max_moving) and (is_rest or not is_even):
+        text = (
+            f"reads {sizes.median:.3g} m/s^2 {where}: gravity is taken out of it, it is"
+            " a linear acceleration"
+        )
+        return "imu_without_gravity", text
+    return None
 
 
 class _Change(NamedTuple):

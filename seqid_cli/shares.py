@@ -5,6 +5,34 @@ import math
 MORE_DIGITS = 2  # that keep a small share from reading 0 %, and a large one 100 %
 
 
+def change(before: float, after: float, least: float = 0.0) -> float:
+    """Return a change as a share of what was before: 5.44 to 8.30 is +0.53.
+
+    Parameters
+    ----------
+    before, after : float
+    least : float
+        Size that the number has at least. From a `before` below it, where a share of it
+        says nothing, the change is a share of the larger of both. Numbers that get
+        larger on their side of zero grow: -2 to -3 is +0.5.
+    """
+    size = abs(before)
+    if size < least or size == 0.0:
+        size = max(size, abs(after), least)
+    if after == before or size == 0.0:
+        return 0.0
+    side = math.copysign(1.0, before if before else after)
+    return side * (after - before) / size
+
+
+def change_in_percent(share: float | None) -> str:
+    """Return a change in percent with its sign, "+52.6 %"."""
+    if share is None:
+        return "-"
+    sign = "+" if share > 0.0 else ""
+    return f"{sign}{percent(share)}"
+
+
 def percent(share: float, digits: int = 1) -> str:
     """Return a share in percent, "12.3 %".
 

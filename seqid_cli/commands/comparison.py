@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from seqid_cli import shares
 from seqid_cli.commands.command_run import EXIT_DONE, EXIT_UNTRUSTED, CommandRun
 from seqid_cli.commands.options import (
     DebugOption,
@@ -18,7 +19,7 @@ from seqid_cli.commands.options import (
     examples,
     number_check,
 )
-from seqid_cli.commands.screen.render import Screen, percent
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
@@ -124,7 +125,7 @@ def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
     """Print the changed numbers, and the most different of the unchanged ones."""
     changed = [item for item in file.differences if item.different]
     unchanged = [item for item in file.differences if not item.different]
-    unchanged.sort(key=lambda item: -(item.relative or 0.0))
+    unchanged.sort(key=lambda item: -abs(item.relative or 0.0))
     listed = unchanged if screen.verbose else unchanged[:_SHOWN_UNCHANGED]
 
     rows = []
@@ -144,7 +145,7 @@ def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
         )
         rows.append(row)
     titles = "stage | number | joint | first | second | std errors | relative | verdict"
-    kinds = "text text text number5 number5 number share text"
+    kinds = "text text text number5 number5 number share_change text"
     screen.values(tables.values(titles, kinds, rows))
     hidden_count = len(unchanged) - len(listed)
     if hidden_count:
@@ -160,7 +161,7 @@ def _annotation(item: Difference, path: str) -> str:
         text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
         if item.sigmas is not None:
             text += f", {item.sigmas:.1f} standard errors"
-        text += f", {percent(item.relative)} of its size"
+        text += f", {shares.change_in_percent(item.relative)}"
         if item.remark:
             text += f" ({item.remark})"
     file = _escaped(path, ":,")
@@ -230,9 +231,9 @@ def trend(
 ) -> int:
     """Find out what changed on one or more robots over time, beyond its error.
 
-    Each file is one date, that of its making. Steps and drifts of friction, parameters
-    and effects are named with robot, joint and date. Exits with 1 when anything
-    changed.
+    The date of a file is that of its newest log. Steps and drifts of friction,
+    parameters and effects are named with robot, joint and date. Exits with 1 when
+    anything changed.
     """
     from seqid_cli.trend import TrendOptions
     from seqid_cli.trend import trend as find_changes

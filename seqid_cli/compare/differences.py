@@ -207,7 +207,7 @@ def _surface(
         )
         for k in range(len(q))
     ]
-    order = [(point.different, point.relative or 0.0) for point in points]
+    order = [(point.different, abs(point.relative or 0.0)) for point in points]
     worst = order.index(max(order))
     remark = f"at {q[worst]:.3g}, speed {dq[worst]:.3g}"
     return replace(points[worst], remark=remark)

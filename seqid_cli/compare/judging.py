@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from msgspec.structs import replace
 
+from seqid_cli import shares
 from seqid_cli.params.results.comparison import Difference, RuleEntry
 
 Pair = tuple[float, float]  # of the first and of the second file
@@ -44,9 +45,8 @@ def judged(
         Size that the number has at least, in its own unit.
     """
     a, b = values
-    size = max(abs(a), abs(b), least)
     std_error = math.hypot(*std_errors)
-    relative = abs(b - a) / size if size > 0.0 else 0.0
+    relative = shares.change(a, b, least)
     sigmas = abs(b - a) / std_error if std_error > 0.0 else None
 
     within_errors = False
@@ -59,7 +59,7 @@ def judged(
         std_error=std_error or None,
         sigmas=sigmas,
         relative=relative,
-        different=not within_errors and relative > rule.rtol,
+        different=not within_errors and abs(relative) > rule.rtol,
     )
 
 

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from seqid_cli.errors import UsageError
-from seqid_cli.params.schema import Written
+from seqid_cli.params.schema import ParameterFile, Written
 
 VARIABLE = "SOURCE_DATE_EPOCH"
 # Stamps from 2000-01-01 to 2100-01-01 are dates. Others count from a start-up or a
@@ -70,6 +70,17 @@ def date_of(document: Written) -> float | None:
     if when.tzinfo is None:
         when = when.replace(tzinfo=UTC)
     return when.timestamp()
+
+
+def recorded_date(file: ParameterFile) -> str:
+    """Return when the newest log of a file was recorded, as a date.
+
+    It is the file's `created` where no log has dates for stamps. The last stamp of each
+    log is compared as text: all are in UTC and written to the same digits.
+    """
+    last_stamps = [log.recorded[-1] for log in file.inputs if log.recorded]
+    dates = [stamp for stamp in last_stamps if isinstance(stamp, str)]
+    return max(dates, default=file.created)
 
 
 def source_date_epoch() -> int | None:

@@ -26,7 +26,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy import stats
 
-from seqid_cli.params.dates import created_from
+from seqid_cli import shares
+from seqid_cli.params.dates import created_from, recorded_date
 from seqid_cli.params.document import head
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.params.results.prediction import FileId
@@ -218,7 +219,6 @@ def best_change(
     ]
     best = max(fits, key=lambda fit: fit.sigmas)
     last_value = best.first_value + best.change
-    size = max(abs(best.first_value), abs(last_value), least)
     change = ChangeEntry(
         **_quantity(series),
         kind=best.hypothesis.kind,
@@ -228,7 +228,7 @@ def best_change(
         change=best.change,
         std_error=best.std_error,
         sigmas=best.sigmas if np.isfinite(best.sigmas) else None,
-        relative=best.change / size if size > 0.0 else 0.0,
+        relative=shares.change(best.first_value, last_value, least),
     )
     return best.sigmas, change
 
@@ -285,14 +285,21 @@ def _fitted(
 def _effect_changes(
     robot: str, files: Sequence[ParameterFile]
 ) -> Iterator[ChangeEntry]:
-    """Yield effects that appeared or are gone from a robot's first to its last file."""
+    """Yield effects that appeared or are gone from a robot's first to its last file.
+
+    A file that was not refined may lack an effect that the arm had: what the first
+    refined file after it holds was added, not more.
+    """
     refined = [file for file in files if file.stages.effects is not None]
-    if len(refined) < 2:
+    if not refined:
         return
     effects = [
         {(entry.effect, entry.joint or "") for entry in file.stages.effects or []}
         for file in refined
     ]
+    if files[0].stages.effects is None:
+        for effect in sorted(effects[0]):
+            yield _effect_change(robot, effect, "added", refined[0])
     for effect in sorted(effects[-1] - effects[0]):
         last_without = max(k for k, held in enumerate(effects) if effect not in held)
         yield _effect_change(robot, effect, "appeared", refined[last_without + 1])
@@ -313,7 +320,7 @@ def _effect_change(
         name=name,
         unit="",
         kind=kind,
-        since=first.created,
+        since=recorded_date(first),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.params.dates import recorded_date
 from seqid_cli.params.files import By, by_robot
 from seqid_cli.params.results.trend import SeriesEntry
 from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
@@ -58,7 +59,7 @@ def robots_of(files: Sequence[Named], by: By) -> dict[str, list[ParameterFile]]:
         [(path, file.robot.name, (path, file)) for path, file in files], by
     )
     for name, dated in robots.items():
-        dated.sort(key=lambda item: _time(item[1].created, item[0]))
+        dated.sort(key=lambda item: _time(recorded_date(item[1]), item[0]))
         _check_joints(name, dated)
     if all(len(dated) < 2 for dated in robots.values()):
         hint = (
@@ -110,7 +111,7 @@ def series_of(robot: str, files: Sequence[ParameterFile]) -> Iterator[SeriesEntr
         estimates = []
         for file, table in zip(files, tables, strict=True):
             if quantity in table:
-                dates.append(file.created)
+                dates.append(recorded_date(file))
                 estimates.append(table[quantity])
         if len(dates) < 2:
             continue

@@ -16,8 +16,9 @@ class RuleEntry(FrozenStruct, kw_only=True, frozen=True):
 class Difference(FrozenStruct, kw_only=True, frozen=True):
     """One number in both results.
 
-    `a`, `b` are null where a file does not have it; `std_error` combines those of both,
-    and `sigmas`, `relative` are the difference in units of it and of the number's size.
+    `a`, `b` are null where a file does not have it; `std_error` combines those of both.
+    `sigmas` is the size of the difference in units of it, `relative` b / a - 1 (of the
+    larger of both where a is next to nothing).
     Numbers that are null do not apply. `remark` says where or what else.
     """
 

@@ -80,7 +80,10 @@ class Values:
 
             # Plural kinds are both ends of an interval, or none.
             ends = value if head.kind.endswith("s") else [value]
-            if head.kind.startswith("share"):
+            if head.kind == "share_change":
+                sign = "+" if value > 0.0 else ""
+                texts = [f"{sign}{percent(value)}"]
+            elif head.kind.startswith("share"):
                 texts = [percent(end) for end in ends]
             else:
                 texts = [number(end, head.digits) for end in ends]
@@ -493,7 +496,7 @@ def changes(entries: Sequence[ChangeEntry]) -> Values:
         Head("since", "text"),
         Head("before", "number", digits=4),
         Head("after", "number", digits=4),
-        Head("change", "share"),
+        Head("change", "share_change"),
         Head("sigmas", "number"),
     ]
     return Values(columns, rows)

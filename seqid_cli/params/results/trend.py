@@ -45,10 +45,12 @@ class ChangeEntry(QuantityEntry, kw_only=True):
     """A quantity that changed.
 
     `kind` is "step" (from one date to the next), "drift" (in proportion to time),
-    "appeared" or "gone" (an effect that some files hold); `since` is the first date
-    after it. `before` and `after` are the means on both sides of a step, or the ends of
-    a drift; `change` has the `std_error`, the errors' inflation included, and `sigmas`
-    is their ratio. Numbers are null for what appeared or is gone.
+    "appeared" or "gone" (an effect that some refined files hold), "added" (an effect of
+    the refined files, before which there are files that were not refined); `since` is
+    the first date after it. `before` and `after` are the means on both sides of a step,
+    or the ends of a drift, and `relative` is the change as a share of `before`.
+    `change` has the `std_error`, the errors' inflation included, and `sigmas` is their
+    ratio. Numbers are null for what appeared or is gone.
     """
 
     kind: str

@@ -59,7 +59,7 @@ def test_rule(
     assert change.sigmas == (
         pytest.approx(moved / (math.sqrt(2.0) * error)) if error else None
     )
-    assert change.relative == pytest.approx(moved / (1.25 + moved))
+    assert change.relative == pytest.approx(moved / 1.25)
 
 
 def moved_surface(a: ParameterFile, b: ParameterFile) -> None:
@@ -205,7 +205,7 @@ def test_results_are_compared_by_verdict_findings_and_errors() -> None:
     assert list(described(compared(a, b))) == [
         "changed: diagnosis verdict:   effect_found, then nothing_missing",
         "changed: diagnosis stribeck elbow:   only in the first",
-        "changed: diagnosis rmse elbow: 0.3, 0.4, 0.25 N m",
+        "changed: diagnosis rmse elbow: 0.3, 0.4, 0.33333 N m",
         "changed: diagnosis noise_floor elbow:   only in the first",
     ]
     one, other = prediction_file(), prediction_file(shares=(0.02, 0.1))
@@ -213,8 +213,8 @@ def test_results_are_compared_by_verdict_findings_and_errors() -> None:
     del other.joints["shoulder"]
     assert list(described(compared(one, other))) == [
         "changed: prediction joint shoulder:   only in the first",
-        "changed: prediction rmse elbow: 0.1, 0.2, 0.5 N m",
-        "changed: prediction max_abs elbow: 0.3, 0.6, 0.5 N m",
+        "changed: prediction rmse elbow: 0.1, 0.2, 1 N m",
+        "changed: prediction max_abs elbow: 0.3, 0.6, 1 N m",
     ]
 
 

@@ -7,9 +7,10 @@ import pyarrow.parquet as pq
 import pytest
 from msgspec.structs import replace
 
+from seqid_cli import shares
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.schema import EffectOfJoint, ParameterFile
+from seqid_cli.params.schema import EffectOfJoint, InputLog, ParameterFile
 from seqid_cli.report import report
 from seqid_cli.trend import TrendOptions, trend
 from tests.unit.params.documents import inertia_file
@@ -115,6 +116,37 @@ def test_an_effect_that_appears_is_told() -> None:
     (entry,) = trend(files).changes
     assert (entry.name, entry.joint, entry.kind) == ("backlash", "elbow", "appeared")
     assert entry.since == dated(8)
+
+
+def test_what_the_first_refinement_added_is_told() -> None:
+    """Files before it were not searched: they say nothing of the effect."""
+    files, backlash = history(5), EffectOfJoint(effect="backlash", joint="elbow")
+    for number, file in enumerate(files):
+        file.stages.effects = [backlash] if number >= 8 else None
+    (entry,) = trend(files).changes
+    assert (entry.name, entry.kind, entry.since) == ("backlash", "added", dated(8))
+
+
+def test_the_date_of_a_file_is_that_of_its_newest_log() -> None:
+    """Whenever it was identified; stamps that are no dates say nothing."""
+    files = [replace(file, created=dated(0)) for file in history(1, STEP)]
+    for number, file in enumerate(files):
+        stamps = [dated(number).replace("08:", "07:"), dated(number)]
+        file.inputs = [
+            InputLog(path="a", sha256="a" * 64, samples=1, recorded=stamps),
+            InputLog(path="b", sha256="b" * 64, samples=1, recorded=[0.0, 12.5]),
+        ]
+    assert trend(files[::-1]).changes == trend(history(1, STEP)).changes
+
+
+def test_a_change_is_a_share_of_what_was_before() -> None:
+    (entry,) = trend(history(1, STEP)).changes
+    assert entry.relative == pytest.approx(entry.change / entry.before)
+    assert shares.change(5.44, 8.30) == pytest.approx(0.5257, abs=1e-4)
+    assert shares.change(-2.0, -3.0) == pytest.approx(0.5)
+    assert shares.change(1e-9, 2.0, 1e-3) == pytest.approx(1.0)
+    assert shares.change_in_percent(0.5257) == "+52.6 %"
+    assert shares.change_in_percent(-0.05) == "-5.0 %"
 
 
 def test_files_that_tell_no_change_are_refused() -> None:

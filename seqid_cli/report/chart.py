@@ -19,7 +19,7 @@ from seqid_cli.report.views import Figure, Legend, Table
 from seqid_cli.report.words import MINUS, number
 from seqid_cli.typing import Array
 
-WIDE, SMALL = 580.0, 372.0  # widths of drawings
+FULL, WIDE, SMALL = 1160.0, 580.0, 372.0  # widths of drawings
 _LEFT, _RIGHT, _TOP, _FOOT = 62.0, 12.0, 26.0, 44.0  # around a panel
 _POINT = 2.0  # radius of a measured point
 _ROW, _NAMES, _LONGEST = 28.0, 150.0, 20  # height, width and letters of a row's name
@@ -405,9 +405,9 @@ def small_panel(
     )
 
 
-def wide_box(top: float, height: float) -> Box:
-    """Return the place of a panel in a wide drawing."""
-    return Box(_LEFT, top, WIDE - _RIGHT, top + height)
+def full_box(top: float, height: float) -> Box:
+    """Return the place of a panel in a drawing over the page's full width."""
+    return Box(_LEFT, top, FULL - _RIGHT, top + height)
 
 
 def figure(
@@ -461,7 +461,7 @@ def figure(
         legend=legend,
         table=table,
         note=note,
-        wide=width > SMALL,
+        width="full" if width > WIDE else "wide" if width > SMALL else "small",
     )
 
 

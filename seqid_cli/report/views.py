@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from markupsafe import Markup
 
@@ -126,8 +126,8 @@ class Figure:
     table : Table, optional
     note : str
         Text below the drawing.
-    wide : bool
-        Whether it takes the whole width of the page.
+    width : {"small", "wide", "full"}
+        Whether it takes a third, half or all of the page's width.
     joint : str
         The joint that it is about, where it stands in a group about several: the page
         hides it when another joint is chosen.
@@ -138,7 +138,7 @@ class Figure:
     legend: Legend
     table: Table | None = None
     note: str = ""
-    wide: bool = False
+    width: Literal["small", "wide", "full"] = "small"
     joint: str = ""
 
 

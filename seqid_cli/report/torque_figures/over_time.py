@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.report.chart import Panel, figure, padded, wide_box
+from seqid_cli.report.chart import Panel, figure, full_box, padded
 from seqid_cli.report.collection import Place
 from seqid_cli.report.torque_figures.thinning import extremes, pieces
 from seqid_cli.report.torques import Series
@@ -118,7 +118,8 @@ def _panels(
 
     x_range = (0.0, float(series.t[-1] - series.t[0]) or 1.0)
     torque = Panel(
-        box=wide_box(26, 164),
+        box=full_box(26, 200),
+        x_ticks=12,
         x_range=x_range,
         y_range=padded(all_torques[np.isfinite(all_torques)], _ROOM),
         y_title=f"torque, {unit}",
@@ -126,7 +127,8 @@ def _panels(
         hover="t|s",
     )
     residual = Panel(
-        box=wide_box(220, 84),
+        box=full_box(256, 104),
+        x_ticks=12,
         x_range=x_range,
         y_range=padded(np.concatenate(residuals), _ROOM),
         x_title="time, s",

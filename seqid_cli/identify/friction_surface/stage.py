@@ -10,7 +10,7 @@ Three passes lead to a joint's surface:
 3. The final surface is fitted to friction by Eq. 16, on the likeliest of some bases.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from seqid_cli.identify.friction_surface.corrections import (
 )
 from seqid_cli.identify.friction_surface.fit import (
     FixedOrders,
+    SurfaceFit,
     choose_orders,
     fit_surfaces,
 )
@@ -52,6 +53,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 NO_TRIAL = "no constant-velocity trial moves this joint"
+STUCK = "the torque of this joint is one and the same in all of its moves"
 UNPAIRED = "no pair of forward and backward trials at one speed in one configuration"
 # The surface is fitted once per entry: slices that do not belong to their trial lose
 # their weight round by round. Only in the last round, whose data are clean, are all
@@ -173,8 +175,11 @@ def _first_pass(
     reasons = dict.fromkeys(range(robot.n), NO_TRIAL)
     notes: list[str] = []
     for j in sorted({trial.joint for trial in trials}):
-        reasons[j] = UNPAIRED
         joint_trials = [trial for trial in trials if trial.joint == j]
+        if _is_stuck(joint_trials):
+            reasons[j] = STUCK
+            continue
+        reasons[j] = UNPAIRED
         fit = _first_fit(robot, j, joint_trials, options, settings)
         sliding = sliding_trials(robot, joint_trials, fit, settings.hunting)
         if len(sliding) < len(joint_trials):
@@ -190,20 +195,27 @@ def _first_pass(
     )
 
 
+def _is_stuck(trials: Sequence[Trial]) -> bool:
+    """Return whether all trials have one torque: then nothing is known of friction."""
+    torque = np.concatenate([trial.tau for trial in trials])
+    return bool(np.ptp(torque) == 0.0)
+
+
 def _no_surface(robot: Robot, first: FirstPass) -> QualityError:
     """Return the error of logs without a surface, naming the last moved joint."""
-    unpaired = [
-        robot.joint_names[j]
-        for j, reason in first.reasons.items()
-        if reason == UNPAIRED
-    ]
-    if not unpaired:
-        return QualityError(first.notes[-1], hint="no joint slides in these logs")
-    return QualityError(
-        UNPAIRED,
-        hint="record every speed in both directions over the same range (Eq. 15)",
-        where=f"joint {unpaired[-1]}",
-    )
+    remedies = {
+        UNPAIRED: "record every speed in both directions over the same range (Eq. 15)",
+        STUCK: "look at the torque channel: seqid inspect says what it holds",
+    }
+    for reason, remedy in remedies.items():
+        names = [
+            robot.joint_names[j]
+            for j, reason_of_joint in first.reasons.items()
+            if reason_of_joint == reason
+        ]
+        if names:
+            return QualityError(reason, hint=remedy, where=f"joint {names[-1]}")
+    return QualityError(first.notes[-1], hint="no joint slides in these logs")
 
 
 def _first_fit(
@@ -373,13 +385,18 @@ def _fitted(
     distances = reduction.around_medians(data)
     for tries_all_bases in TRIES_ALL_BASES:
         weighted = reduction.weighted(data, distances)
-        best_evidence = -np.inf
+        tried: list[tuple[float, SurfaceFit]] = []
         for scaling in scalings if tries_all_bases else scalings[:1]:
             reduced = reduction.reduce_trials(weighted, scaling)
             fits, evidence = fit_surfaces([reduced], fixed_orders, near)
-            if evidence > best_evidence:
-                best_evidence = evidence
-                fit = fits[0]
+            if np.isfinite(evidence):
+                tried.append((evidence, fits[0]))
+        if not tried:
+            raise QualityError(
+                "friction cannot be fitted: the torque of a trial is no number",
+                hint="seqid inspect says what is wrong with the torque channel",
+            )
+        _, fit = max(tried, key=lambda pair: pair[0])
         near = fit.sizes
         distances = fit.distances(data)
     return [(weighted, fit)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from seqid_cli.errors import UsageError
+from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface import fit as fitting
 from seqid_cli.identify.friction_surface.fit import (
     SurfaceFit,
@@ -22,12 +22,15 @@ from seqid_cli.identify.friction_surface.reduction import (
     SpeedData,
     edges_of,
     reduce_trials,
+    weighted,
 )
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.summary import Errors, errors_of
 from seqid_cli.identify.options import MAX_POSITION_ORDER as HIGHEST
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction_basis import Scaling
 from tests import Array
+from tests.plants.robots.sample import sample_rig
 
 SCALING = Scaling((-2.0, 2.0), (0.2, 4.0))
 SPEEDS = np.geomspace(0.2, 4.0, 12)
@@ -320,3 +323,52 @@ def test_orders_beyond_the_reduction_are_refused() -> None:
             fit.entries(orders)
         with pytest.raises(ValueError, match="beyond the highest"):
             fit.covariance(orders)
+
+
+@pytest.mark.parametrize("torque", [0.0, 1.0])
+def test_a_torque_that_never_changes_is_said(torque: float) -> None:
+    rig = sample_rig("one_joint")
+    logs = [
+        replace(log, tau=np.full_like(log.tau, torque)) for log in rig.logs("friction")
+    ]
+    with pytest.raises(QualityError, match="one and the same") as raised:
+        identify_friction(logs, rig.robot, options=FrictionOptions())
+    assert raised.value.where == "joint joint_1"
+    assert "seqid inspect" in raised.value.hint
+
+
+def test_evidence_that_is_no_number_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = sample_rig("one_joint")
+    monkeypatch.setattr(
+        "seqid_cli.identify.friction_surface.stage.fit_surfaces",
+        lambda *_: ([None], np.nan),
+    )
+    with pytest.raises(QualityError, match="no number"):
+        identify_friction(rig.logs("friction"), rig.robot, options=FrictionOptions())
+
+
+def test_half_of_the_slices_of_every_trial_belong() -> None:
+    """Distances are from their median: whatever they are, half of them are small."""
+    rng = np.random.default_rng(0)
+    for size in (1, 2, 3, 40):
+        zeros = np.zeros(size)
+        data = [
+            SpeedData(
+                speed=0.1,
+                direction=1,
+                q=np.arange(size) * 1.0,
+                friction=scale * rng.standard_cauchy(size),
+                weight=np.full(size, 8.0),
+                edges=np.zeros((size, 2)),
+                push=zeros,
+                doubt=zeros,
+                late=zeros,
+                warm=zeros,
+            )
+            for scale in (0.0, 1.0, 1e9)
+        ]
+        distances = [item.friction - np.median(item.friction) for item in data]
+        for item in weighted(data, distances):
+            assert np.count_nonzero(item.belongs) >= size / 2

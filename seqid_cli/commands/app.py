@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated, NamedTuple, cast
 
 import typer
@@ -277,6 +278,15 @@ def _unforeseen(error: Exception) -> SeqidError:
     return bug
 
 
+def wants_json(arguments: Sequence[str]) -> bool:
+    """Return whether a command line asks for one JSON document on stdout.
+
+    Its words are looked at themselves: they may be what is wrong.
+    """
+    is_format = ("--format", "json") in pairwise(arguments)
+    return is_format or not {"--json", "--format=json"}.isdisjoint(arguments)
+
+
 def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> int:
     """Write an error as a message; return its exit code."""
     if "--debug" in arguments:
@@ -287,7 +297,7 @@ def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> int:
         shortened(problem.hint, _LONGEST_MESSAGE),
         color=can_be_steered(sys.stderr) and "--no-color" not in arguments,
     )
-    if "--json" in arguments:
+    if wants_json(arguments):
         error = {
             "code": problem.exit_code,
             "message": problem.message,

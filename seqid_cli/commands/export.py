@@ -142,7 +142,7 @@ def _show_links(screen: Screen, file: ExportFile) -> None:
     )
     kinds = "text number4 text number number number share"
     if file.loss:
-        titles = f"{titles} | loss [N m]"
+        titles = f"{titles} | loss [{{unit}}]"
         kinds = f"{kinds} number"
 
     rows = []
@@ -152,7 +152,7 @@ def _show_links(screen: Screen, file: ExportFile) -> None:
         if file.loss:
             row.append(file.loss.get(name))
         rows.append(row)
-    screen.values(tables.values(titles, kinds, rows))
+    screen.values(tables.of_joints(titles, kinds, rows, file.robot))
     if file.loss:
         screen.note("loss: RMS of the file's torque that this form does not have")
 
@@ -212,9 +212,13 @@ def _show_replay(screen: Screen, file: ExportFile) -> bool:
     if rows:
         count = len(file.replay.logs)
         logs = "1 log" if count == 1 else f"{count} logs"
-        screen.result(f"replayed over {logs}, RMS errors in N m:")
-        titles = "joint | parameter file | written file | loss there | samples"
-        screen.values(tables.values(titles, "text number number number count", rows))
+        screen.result(f"replayed over {logs}, RMS errors:")
+        titles = (
+            "joint | parameter file [{unit}] | written file [{unit}]"
+            " | loss there [{unit}] | samples"
+        )
+        kinds = "text number number number count"
+        screen.values(tables.of_joints(titles, kinds, rows, file.robot))
     for text in file.replay.failures:
         screen.warn(text)
     if file.replay.failures:

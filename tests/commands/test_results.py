@@ -59,6 +59,15 @@ def test_compare(rig: Rig) -> None:
     change = next(item for item in found["differences"] if item["different"])
     assert (change["a"], change["b"], change["unit"]) == (1.25, 1.5, "kg m")
 
+    # An error is JSON as well, however that was asked for.
+    failed = [
+        rig.run("compare", "a.json", "plan.json", *form)
+        for form in (*given, ["--format=json"])
+    ]
+    errors = [json.loads(done.out)["error"] for done in failed]
+    assert errors[0]["code"] == 2
+    assert errors == errors[:1] * 3
+
 
 def test_trend(rig: Rig) -> None:
     """The gravity of a robot changes at the eighth date."""

@@ -6,17 +6,20 @@ import io
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from seqid_cli.commands import export as export_command
 from seqid_cli.commands.screen.drawing import table_text, with_colored_label
 from seqid_cli.commands.screen.layout import visible, visible_cell
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_stages, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import parameters_text
+from seqid_cli.params.results.export import ExportedLink, ReplayedJoint
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
 from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 from tests.unit.logs.writers import write_raw
@@ -87,6 +90,40 @@ def test_joints_that_slide_have_units_of_their_own(
     arm.prismatic = list(arm.joints)
     show_stages(screen, stages, arm)
     assert "RMS error N " in capsys.readouterr().out
+
+
+def test_what_an_export_loses_has_the_units_of_its_joints(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arm = robot()
+    arm.prismatic = list(arm.joints)
+    link = ExportedLink(
+        mass=1.0,
+        center_of_mass=[0.0, 0.0, 0.0],
+        inertia=[],
+        rotor_inertia=0.0,
+        armature=0.0,
+        prior="",
+        friction=None,
+    )
+    replayed = ReplayedJoint(samples=9, file_rmse=0.1, export_rmse=0.2, loss=0.3)
+    file = SimpleNamespace(
+        robot=arm,
+        joints=dict.fromkeys(arm.joints, link),
+        loss=dict.fromkeys(arm.joints, 0.1),
+        replay=SimpleNamespace(
+            logs=["a"],
+            joints=dict.fromkeys(arm.joints, replayed),
+            failures=[],
+            passed=True,
+        ),
+    )
+    screen = Screen(command="export")
+    export_command._show_links(screen, file)
+    export_command._show_replay(screen, file)
+    out = capsys.readouterr().out
+    assert "N m" not in out
+    assert "loss N\n" in re.sub(" +", " ", out)
 
 
 def test_a_verdict_names_every_reason() -> None:

@@ -10,7 +10,7 @@ a group, so that no algorithm meets one. Other numbers stay constants beside the
 
 import difflib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -154,6 +154,28 @@ def overridden(settings: S, assignments: Sequence[str]) -> S:
             message = f"--set {text}: {group_name}.{error.message}"
             raise UsageError(message, hint=error.hint) from None
         settings = replace(settings, **{group_name: changed})
+    return settings
+
+
+def with_values(settings: S, values: Mapping[str, float]) -> S:
+    """Return settings with numbers as a document has them.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of one command.
+    values : mapping of str to float
+        By full name. What is no setting (any more) is left out.
+    """
+    by_name = {entry.name: entry for entry in entries(settings)}
+    for name, value in values.items():
+        entry = by_name.get(name)
+        if entry is None:
+            continue
+        group_name, _, field_name = name.partition(".")
+        number = int(value) if isinstance(entry.default, int) else value
+        group = replace(getattr(settings, group_name), **{field_name: number})
+        settings = replace(settings, **{group_name: group})
     return settings
 
 

@@ -134,6 +134,8 @@ class Candidate:
         absorbed a part of it (see `FileTrials`): all of them, or friction alone, where
         gravity is known from other joints' trials. Or it was there in all logs of the
         file, whose parameters have its torque: then only rows of links show it.
+    late : bool
+        It came after the file was identified, whose logs do not have it.
     """
 
     effect: Effect
@@ -141,6 +143,7 @@ class Candidate:
     settings: dict[str, float]
     apart: bool = False
     absorbed: Literal["", "friction", "all", "torque"] = ""
+    late: bool = False
 
     @property
     def size(self) -> int:

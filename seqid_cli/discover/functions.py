@@ -202,16 +202,19 @@ def _refined(
         at_hand=fitted_paths,
         held_out=held_out_files,
     )
-    earlier_logs, notes_on_earlier = read_earlier(
-        inputs, earlier, fitted, options.motion
-    )
-    n_earlier = sum(map(len, earlier_logs.values()))
+    earlier_logs = read_earlier(inputs, earlier, fitted, options.motion)
+    n_earlier = sum(map(len, earlier_logs.by_stage.values()))
     training.tell(
         "detail",
         text=f"{len(fitted.recordings)} logs to fit, {n_earlier} of earlier stages",
     )
     decided = decide(
-        fitted.recordings, robot, previous, earlier=earlier_logs, options=options
+        fitted.recordings,
+        robot,
+        previous,
+        earlier=earlier_logs.by_stage,
+        incomplete=earlier_logs.incomplete,
+        options=options,
     )
 
     # Nothing is chosen any more: now the held-out logs are opened. They take out what
@@ -250,8 +253,7 @@ def _refined(
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),
-            *earlier.notes,
-            *notes_on_earlier,
+            *earlier_logs.notes,
             *training.notes(),
             *held_out_set.notes(),
             *confirmed.loop.notes,

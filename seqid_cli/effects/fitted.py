@@ -30,6 +30,9 @@ class FittedEffect:
         (k,) and (k, k), of the effect's columns.
     session : EffectSession, optional
         The logs that the effect's times and log numbers are of.
+    late : bool
+        Whether it came after friction, gravity and inertia were identified: their logs
+        do not have it.
     """
 
     effect: Effect
@@ -38,6 +41,7 @@ class FittedEffect:
     coefficients: Array
     covariance: Array
     session: EffectSession | None = None
+    late: bool = False
 
     @property
     def passes(self) -> int:
@@ -105,6 +109,7 @@ def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
         coefficients=fitted.coefficients.tolist(),
         covariance=fitted.covariance.tolist(),
         session=fitted.session,
+        late=fitted.late,
     )
 
 
@@ -142,6 +147,7 @@ def _restored(
         coefficients=np.pad(coefficients, (0, n_lacking)),
         covariance=np.pad(covariance, (0, n_lacking)),
         session=entry.session,
+        late=entry.late,
     )
 
 

@@ -170,6 +170,9 @@ class SmoothTerm:
 
     name: ClassVar[str] = UNEXPLAINED
     passes: ClassVar[int] = 2
+    # It was fitted beside friction, gravity and inertia as they are: what it stands
+    # for is in their own logs as it is in these stages.
+    late: ClassVar[bool] = True
 
     joint: int
     quantities: tuple[str, ...]
@@ -212,7 +215,12 @@ class SmoothTerm:
             for k, c in enumerate(self.coefficients)
         ]
         return EffectOfJoint(
-            effect=UNEXPLAINED, joint=name, parameters=parameters, settings=settings
+            effect=UNEXPLAINED,
+            joint=name,
+            parameters=parameters,
+            settings=settings,
+            session=self.session,
+            late=self.late,
         )
 
     @classmethod

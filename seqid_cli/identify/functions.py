@@ -81,10 +81,12 @@ def friction(
     from seqid_cli.identify.friction_surface.checks import friction_verdicts
     from seqid_cli.identify.friction_surface.stage import identify_friction
     from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.recipe import friction_recipe
 
     arm = inputs.robot
     log_set = LogSet.of(inputs)
     stage = identify_friction(log_set, arm, options=options, settings=settings)
+    stage = replace(stage, recipe=friction_recipe(options))
     checks = list(friction_verdicts(stage, arm, settings.judging))
 
     new_stage = NewStage(name="friction", stage=stage, checks=checks)
@@ -195,6 +197,7 @@ def inertia(
     from seqid_cli.identify.common_cutoff import identification_options
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.recipe import rigid_recipe
     from seqid_cli.identify.rigid.cutoff_choice import InertiaTrial
     from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
@@ -221,6 +224,7 @@ def inertia(
     stage = result.inertia
     if options.consistent:
         stage = made_consistent(stage, earlier_stages, arm)
+    stage = replace(stage, recipe=rigid_recipe(options, motion))
     checks = list(
         inertia_verdicts(stage, earlier_stages.gravity, arm, settings.judging)
     )
@@ -255,6 +259,7 @@ def simultaneous(
     from seqid_cli.identify.common_cutoff import identification_options
     from seqid_cli.identify.friction_surface.checks import friction_verdicts
     from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.recipe import rigid_recipe
     from seqid_cli.identify.rigid.cutoff_choice import SimultaneousTrial
     from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
     from seqid_cli.identify.rigid.parameters import made_consistent
@@ -282,6 +287,7 @@ def simultaneous(
     )
     if options.consistent:
         inertia = made_consistent(inertia, Stages(), arm)
+    inertia = replace(inertia, recipe=rigid_recipe(options, motion))
     gravity = inputs.stages.gravity
     limits = settings.judging
 

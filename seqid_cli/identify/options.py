@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
@@ -11,6 +11,11 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.settings import InertiaSettings
 from seqid_cli.motion.options import MotionOptions
+
+if TYPE_CHECKING:
+    from seqid_cli.inspect.progress import Progress
+    from seqid_cli.logs.given import PathLike
+    from seqid_cli.model.friction import IdentifiedRange
 
 # Order over position that friction may have: trials are reduced to functions up to it.
 MAX_POSITION_ORDER = 10
@@ -91,9 +96,13 @@ class PredictOptions(LogOptions):
 class InertiaOptions:
     """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused".
 
+    `source_by_log` says it of logs that have one of their own, by their SHA-256.
+
     `slides_from` are the speeds [rad/s; m/s where prismatic], one per joint, from which
-    a joint certainly slides in a prediction. None: what the model's own friction says.
-    Errors of two models are compared on the same samples only where both have the same.
+    a joint certainly slides in a prediction, `identified_ranges` the positions and
+    speeds within which its friction counts as identified. None: what the model's own
+    friction says. Errors of two models are compared on the same samples only where both
+    have the same of both.
 
     `neighbours` are multiples of the cut-off at which the inertia stage looks at its
     parameters again (see `cutoff_check`); a log that is passed over is not looked at
@@ -104,14 +113,16 @@ class InertiaOptions:
 
     motion: MotionOptions = field(default_factory=MotionOptions)
     source: str = "auto"
+    source_by_log: Mapping[str, str] = field(default_factory=dict)
     slides_from: tuple[float, ...] | None = None
+    identified_ranges: tuple[IdentifiedRange | None, ...] | None = None
     neighbours: tuple[float, ...] = (0.7, 1.4)
     settings: InertiaSettings = field(default_factory=InertiaSettings)
 
+    def source_of(self, sha256: str) -> str:
+        """Return where the joint motion of a log comes from."""
+        return self.source_by_log.get(sha256, self.source)
 
-if TYPE_CHECKING:
-    from seqid_cli.inspect.progress import Progress
-    from seqid_cli.logs.given import PathLike
 
 F = TypeVar("F", bound=Callable[..., object])
 OnProgress: TypeAlias = "Callable[[Progress], None]"

@@ -55,6 +55,26 @@ SLOWER = 3
 EXTENSION_SIZE = 4
 
 
+@dataclass(frozen=True)
+class IdentifiedRange:
+    """Positions and speeds within which a joint's friction was identified.
+
+    Attributes
+    ----------
+    scaling : Scaling
+        It holds both ranges.
+    sign_width : float
+        Speed [rad/s; m/s where prismatic] below which friction follows no law.
+    """
+
+    scaling: Scaling
+    sign_width: float
+
+    def outside(self, q: Array, v: Array) -> Mask:
+        """Return samples (N,) beyond the positions or the speeds."""
+        return self.scaling.outside(q, v, sign_width=self.sign_width)
+
+
 class FrictionLaw(Protocol):
     """Friction of one joint as a prediction needs it."""
 
@@ -325,7 +345,12 @@ class FrictionSurface:
 
     def outside(self, q: Array, v: Array) -> Mask:
         """Return samples (N,) beyond the identified range of positions and speeds."""
-        return self.scaling.outside(q, v, sign_width=self.sign_width)
+        return self.identified_range.outside(q, v)
+
+    @property
+    def identified_range(self) -> IdentifiedRange:
+        """Positions and speeds within which it was identified."""
+        return IdentifiedRange(self.scaling, self.sign_width)
 
     def vague(self, q: Array, v: Array) -> Mask:
         """Return samples (N,) whose standard error is a clear share of the surface.

@@ -23,6 +23,7 @@ from seqid_cli.model.friction import (
     FrictionFamily,
     FrictionLaw,
     FrictionSurface,
+    IdentifiedRange,
     friction_torque,
 )
 from seqid_cli.motion.filters.differentiation import shrink
@@ -223,11 +224,24 @@ class TorqueModel:
 
     def outside(self, motion: Motion) -> Mask:
         """Return samples (N, n) at which a joint's friction was never identified."""
-        outside = np.zeros(motion.q.shape, dtype=bool)
-        for j, surface in enumerate(self.surfaces):
-            if surface is not None:
-                outside[:, j] = surface.outside(motion.q[:, j], motion.dq[:, j])
-        return outside
+        return outside_of(self.identified_ranges, motion)
+
+    @property
+    def identified_ranges(self) -> tuple[IdentifiedRange | None, ...]:
+        """By joint, where friction was identified; None where it is not known."""
+        return tuple(
+            None if surface is None else surface.identified_range
+            for surface in self.surfaces
+        )
+
+
+def outside_of(ranges: Sequence[IdentifiedRange | None], motion: Motion) -> Mask:
+    """Return samples (N, n) of a motion beyond each joint's range, if it has one."""
+    outside = np.zeros(motion.q.shape, dtype=bool)
+    for j, identified in enumerate(ranges):
+        if identified is not None:
+            outside[:, j] = identified.outside(motion.q[:, j], motion.dq[:, j])
+    return outside
 
 
 def delays_s(stages: Stages, robot: Robot) -> Array:

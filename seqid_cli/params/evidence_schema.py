@@ -46,20 +46,23 @@ class RefinementRound(Struct, kw_only=True):
     """An effect that a round of refinement tried, at a joint or of the whole arm.
 
     The same effect at several joints is one round: `round` is its number, from 1, null
-    where it was refused. Gains are shares of the squared error that the effect took
-    away where its joints slide: `training_gain`, on left-out blocks of the logs that
+    where it was refused. `acts_on` are the joints whose torque it changes. Gains are
+    shares of the squared error that the effect took away where these joints slide, each
+    in units of its error before: `training_gain`, on left-out blocks of the logs that
     were fitted, decided; `held_out_gain` was looked at afterwards, and `confirmed` says
     whether it is certainly more than nothing. Both are within the positions and speeds
-    at which friction was identified; `gain_outside` is the held-out gain beyond them,
-    null where no log goes there. Intervals are 95 % (empty: not known), `interval` that
-    of the held-out gain. `whole_logs_gain` is the same on whole logs that were left out
-    of the fit one after the other, at positions that the others reach, `gain_by_log`
-    that of each; it is null where one log alone tells. `evidence` and `rivals`
-    are of the logs that were fitted, beside the effects of the rounds before.
+    at which the incoming file's friction was identified; `gain_outside` is the held-out
+    gain beyond them, null where no log goes there. Intervals are 95 % (empty: not
+    known), `interval` that of the held-out gain. `whole_logs_gain` is the same on whole
+    logs that were left out of the fit one after the other, at positions that the others
+    reach, `gain_by_log` that of each; it is null where one log alone tells. `evidence`
+    and `rivals` are of the logs that were fitted, beside the effects of the rounds
+    before.
     """
 
     effect: str
     joint: str | None = None
+    acts_on: list[str] = []
     round: int | None = None
     accepted: bool = True
     confirmed: bool | None = None

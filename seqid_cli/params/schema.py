@@ -76,6 +76,23 @@ class UsedSettings(Struct, kw_only=True):
     values: dict[str, float]
 
 
+class Recipe(Struct, kw_only=True):
+    """How a stage was asked to be identified, for `refine` to do it alike again.
+
+    `position_order`, `velocity_order` and `beta` are friction's, null where they were
+    not given. `source` is where joint motion was to come from, `consistent` whether
+    only parameters that bodies can have were allowed, `reads_delays` whether the
+    motion's jerk was known well enough to estimate delays by it.
+    """
+
+    position_order: int | None = None
+    velocity_order: int | None = None
+    beta: float | None = None
+    source: str = "auto"
+    consistent: bool = False
+    reads_delays: bool = True
+
+
 Level = Literal["good", "usable", "poor"]
 LEVELS: tuple[Level, ...] = ("good", "usable", "poor")  # the best first
 
@@ -238,6 +255,7 @@ class FrictionStage(Struct, kw_only=True):
     verdicts: list[Verdict] = []
     notes: list[str] = []
     settings: UsedSettings | None = None
+    recipe: Recipe | None = None
 
 
 class MotionUse(Struct, kw_only=True):
@@ -315,6 +333,7 @@ class RigidStage(Struct, kw_only=True):
     verdicts: list[Verdict] = []
     notes: list[str] = []
     settings: UsedSettings | None = None
+    recipe: Recipe | None = None
 
 
 class AxisReference(Struct, kw_only=True):
@@ -438,7 +457,8 @@ class EffectOfJoint(Struct, kw_only=True):
     """A physical effect that was added to the model.
 
     Its torque is linear in `coefficients`, with their `covariance`, once the `settings`
-    are fixed; `parameters` are the same in physical terms.
+    are fixed; `parameters` are the same in physical terms. One that is `late` came
+    after friction, gravity and inertia were identified: their logs do not have it.
     """
 
     effect: str
@@ -448,6 +468,7 @@ class EffectOfJoint(Struct, kw_only=True):
     coefficients: list[float] = []
     covariance: Matrix = []
     session: EffectSession | None = None
+    late: bool = False
 
 
 class JointRmse(Struct, kw_only=True, omit_defaults=True):

@@ -336,7 +336,35 @@ def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) ->
     log = InputLog(path=path, sha256="0" * 64, samples=1, stage="friction")
     found = find_earlier([log], [tmp_path], at_hand={}, held_out=[])
     assert found.paths == {}
+    assert found.incomplete == {"friction"}
     assert len(found.notes) == 1
+
+
+def test_a_stage_that_lacks_a_log_is_not_whole(tmp_path: Path) -> None:
+    """One log is lost and one held out: of their stages nothing is whole."""
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(name)
+    digests = {name: sha256(name.encode()) for name in ("a.csv", "b.csv")}
+    inputs = [
+        InputLog(path=path, sha256=digests.get(path, "0"), samples=1, stage=stage)
+        for path, stage in (
+            ("a.csv", "friction"),
+            ("gone.csv", "friction"),
+            ("a.csv", "gravity"),
+            ("b.csv", "inertia"),
+        )
+    ]
+    found = find_earlier(
+        inputs,
+        [tmp_path],
+        at_hand={digests["a.csv"]: tmp_path / "a.csv"},
+        held_out=[tmp_path / "b.csv"],
+    )
+    assert found.incomplete == {"friction", "inertia"}
+    assert found.by_stage == {
+        "friction": [digests["a.csv"]],
+        "gravity": [digests["a.csv"]],
+    }
 
 
 HELD_OUT = "held_out.parquet"

@@ -22,6 +22,7 @@ from seqid_cli.discover.refinement.held_out import (
     Gain,
     WholeLogs,
     gain,
+    gain_of,
     held_out_error,
 )
 from seqid_cli.discover.refinement.loop import Refinement, Step, with_effects
@@ -32,7 +33,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
-from seqid_cli.params.schema import ClosedLoop, EffectOfPlace, Stages, StoppedAt
+from seqid_cli.params.schema import ClosedLoop, Stages, StoppedAt
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
@@ -104,7 +105,8 @@ def confirm(
     rmse_after = error_after.rmse()
     sliding_joints = [j for j in range(robot.n) if np.isfinite(rmse_after[j])]
     gains = {
-        names[j]: gain(error_before, error_after, [j], "both") for j in sliding_joints
+        names[j]: gain_of(error_before.squares[:, j], error_after.squares[:, j])
+        for j in sliding_joints
     }
 
     # The same beside what noise alone would leave.
@@ -280,16 +282,14 @@ def _with_gain(
     error_after: BlockErrors,
     refinement: Refinement,
 ) -> RefinementRound:
-    """Return an effect with what it gains at its joints.
+    """Return an effect with what it gains at all joints that it acts on.
 
     It is confirmed where that is certain, and where all joints together gain as well:
     both within the identified friction. What it gains beyond is told beside that.
     """
     robot = refinement.material.robot
     every_joint = list(range(robot.n))
-    joints = every_joint
-    if entry.joint is not None:
-        joints = [robot.joint_names.index(entry.joint)]
+    joints = [robot.joint_names.index(name) for name in entry.acts_on]
     change = gain(error_before, error_after, joints)
     # Stages that are identified anew with an effect may make another joint worse.
     change_of_arm = gain(error_before, error_after, every_joint)
@@ -310,15 +310,8 @@ def _stopped_at(refinement: Refinement) -> StoppedAt | None:
     limit = refinement.material.options.max_effects
     if limit is None or not refinement.untried:
         return None
-    robot = refinement.material.robot
-    places = [
-        (candidate.effect.name, robot.name_of(candidate.joint))
-        for candidate in refinement.untried
-    ]
-    untried = [
-        EffectOfPlace(effect=name, joint=joint) for name, joint in dict.fromkeys(places)
-    ]
-    return StoppedAt(rounds=limit, untried=untried)
+    places = {(item.effect, item.joint): item for item in refinement.untried}
+    return StoppedAt(rounds=limit, untried=list(places.values()))
 
 
 def _taken_out_note(

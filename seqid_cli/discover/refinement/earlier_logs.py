@@ -1,7 +1,7 @@
 """Logs of earlier stages, read for a refinement as far as memory bears them."""
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from seqid_cli.discover.excerpts import Excerpts, by_digest, take_excerpts
@@ -20,9 +20,28 @@ TRIALS = ("friction", "gravity", "imu")
 MOST_OF_TRIALS = 8_000_000
 
 
+@dataclass(frozen=True, kw_only=True)
+class EarlierRecordings:
+    """Logs of earlier stages as they were read.
+
+    Attributes
+    ----------
+    by_stage : mapping of str to sequence of Recording
+        What is at hand.
+    incomplete : frozenset of str
+        Stages of which not all is at hand.
+    notes : tuple of str
+        What is to be said of them.
+    """
+
+    by_stage: Mapping[str, Sequence[Recording]]
+    incomplete: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+
+
 def read_earlier(
     inputs: Inputs, earlier: EarlierLogs, fitted: Excerpts, options: InertiaOptions
-) -> tuple[dict[str, list[Recording]], list[str]]:
+) -> EarlierRecordings:
     """Read the logs of earlier stages, or as much of them as memory bears.
 
     Parameters
@@ -35,13 +54,6 @@ def read_earlier(
         The logs that are fitted; they are not read a second time.
     options : InertiaOptions
         Where joint motion comes from.
-
-    Returns
-    -------
-    dict of str to list of Recording
-        The logs by stage.
-    list of str
-        What is to be said of them.
     """
     pieces_of = by_digest(fitted.recordings)
     held_whole = {
@@ -55,12 +67,13 @@ def read_earlier(
         for sha256, path in earlier.paths.items()
         if sha256 in trials and sha256 not in held_whole
     ]
-    notes = []
+    notes = earlier.notes
     if inputs.robot.n * sum(map(likely_rows, trial_paths)) > MOST_OF_TRIALS:
-        notes.append(
+        note = (
             f"the {len(trial_paths)} logs of earlier stages are too long to be held"
             " together; the model is fitted again without them"
         )
+        notes = (*notes, note)
         trial_paths = []
     whole_logs: dict[str, list[Recording]] = {}
     if trial_paths:
@@ -82,15 +95,21 @@ def read_earlier(
         )
         pieces_of |= by_digest(excerpts.recordings)
 
+    incomplete = set(earlier.incomplete)
     logs_by_stage: dict[str, list[Recording]] = {}
     for stage, digests in earlier.by_stage.items():
         logs: list[Recording] = []
         for sha256 in digests:
             is_cut_trial = stage in TRIALS and sha256 not in held_whole
             pieces = [] if is_cut_trial else pieces_of.get(sha256, [])
-            logs += pieces or whole_logs.get(sha256, [])
+            of_log = pieces or whole_logs.get(sha256, [])
+            if not of_log:
+                incomplete.add(stage)
+            logs += of_log
         logs_by_stage[stage] = logs
-    return logs_by_stage, notes
+    return EarlierRecordings(
+        by_stage=logs_by_stage, incomplete=frozenset(incomplete), notes=notes
+    )
 
 
 def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:

@@ -47,8 +47,8 @@ from seqid_cli.typing import Array, Index, Mask
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
-# Samples that count: where the identified friction decides, both parts, or beyond it.
-Part = Literal["deciding", "both", "beyond"]
+# Samples that count: where the identified friction decides, or beyond it.
+Part = Literal["deciding", "beyond"]
 # of a sum of squares: what rounding leaves of a difference of two sums is nothing
 ROUNDING = 1e-12
 
@@ -66,7 +66,7 @@ class BlockErrors(NamedTuple):
     samples : (B, n) array
         Number of its samples.
     outside : (B, n) array
-        The part of `squares` that lies beyond the identified friction.
+        The part of `squares` that lies beyond the friction that the file came in with.
     outside_samples : (B, n) array
         Number of its samples.
     """
@@ -315,9 +315,9 @@ def gain(
         Of the two models.
     joints : collection of int
         Those that count.
-    part : {"deciding", "both", "beyond"}
+    part : {"deciding", "beyond"}
         Which samples count: those that decide, which are within the identified friction
-        where a joint has enough there; both parts; or those beyond that do not decide.
+        where a joint has enough there; or those beyond that do not decide.
     """
     squares_before, squares_after = _weighed(before, after, joints, part)
     if not squares_before.any():
@@ -375,7 +375,6 @@ def _weighed(
     every = np.ones_like(is_identified)
     counts: dict[Part, list[Mask]] = {
         "deciding": [every, ~is_identified],
-        "both": [every, every],
         "beyond": [~every, is_identified],
     }
     weight = weight * np.concatenate(counts[part])

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.
 FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
 LOST = "logs of earlier stages that are no longer there or have changed"
+WITHOUT_LOST = (
+    "the model is fitted again without them, and of friction, gravity and inertia that"
+    " were identified one by one what lacks any moves as the logs to fit say"
+)
 KNOWN = "held out, although the model that came in was identified from it"
 _NAMED = 3  # logs that a note names
 
@@ -97,12 +101,15 @@ class EarlierLogs:
         By SHA-256, where a log is now.
     by_stage : mapping of str to sequence of str
         SHA-256 of each stage's logs.
+    incomplete : frozenset of str
+        Stages of which a log is missing, or must not be fitted.
     notes : tuple of str
         Which logs are missing, or must not be fitted.
     """
 
     paths: Mapping[str, Path]
     by_stage: Mapping[str, Sequence[str]]
+    incomplete: frozenset[str]
     notes: tuple[str, ...]
 
 
@@ -131,26 +138,34 @@ def find_earlier(
     held_out_places = {path.resolve() for path in held_out}
     paths: dict[str, Path] = {}
     by_stage: dict[str, list[str]] = {}
+    incomplete: set[str] = set()
     lost: list[str] = []
     held_out_inputs: list[str] = []
     for log in inputs:
         places = {path.resolve() for path in _places(log, folders)}
         if held_out_places & places:
             held_out_inputs.append(log.path)
+            incomplete.add(log.stage)
             continue
         if log.stage not in FITTED_STAGES:
             continue
         path = paths.get(log.sha256) or at_hand.get(log.sha256) or _find(log, folders)
         if path is None:
             lost.append(log.path)
+            incomplete.add(log.stage)
         else:
             paths[log.sha256] = path
             by_stage.setdefault(log.stage, []).append(log.sha256)
     notes = (
-        *_note(lost, LOST, "the model is fitted again without them"),
+        *_note(lost, LOST, WITHOUT_LOST),
         *_note(held_out_inputs, KNOWN, "the error before is too small"),
     )
-    return EarlierLogs(paths=paths, by_stage=by_stage, notes=notes)
+    return EarlierLogs(
+        paths=paths,
+        by_stage=by_stage,
+        incomplete=frozenset(incomplete),
+        notes=notes,
+    )
 
 
 def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:

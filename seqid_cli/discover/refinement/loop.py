@@ -25,13 +25,13 @@ from seqid_cli.discover.refinement.reidentify import (
 )
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, TermResult
+from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.effects.fitted import FittedEffect, as_stage
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import EffectOfPlace, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
@@ -103,17 +103,14 @@ class Step:
             The model.
         """
         if self.smooth is not None:
-            term = fitted_smooth(material, model_before, self.smooth)
-            model = replace(model_before, effects=(*model_before.effects, term))
+            model = with_smooth_term(material, model_before, self.smooth)
             return replace(self, model=model)
 
         def fitted(effects: Sequence[Candidate]) -> Refitted:
-            late = {effect.key for effect in effects} & self.model.late
             return refitted(
                 material,
                 model_before,
                 (*model_before.candidates, *effects),
-                late=model_before.late | late,
                 kept=self.keeps_stages,
             )
 
@@ -145,8 +142,8 @@ class Refinement:
         What was added, round by round.
     refused : list of RefinementRound
         What was tried and not added.
-    untried : list of Candidate
-        Effects that were found when the limit of rounds had been reached.
+    untried : list of EffectOfPlace
+        What was found when the limit of rounds had been reached.
     tried : dict of str to list of RivalEntry
         By joint, what was looked at last beside all that was found there.
     notes : tuple of str
@@ -158,7 +155,7 @@ class Refinement:
     incoming_model: Refitted
     steps: list[Step] = field(default_factory=list)
     refused: list[RefinementRound] = field(default_factory=list)
-    untried: list[Candidate] = field(default_factory=list)
+    untried: list[EffectOfPlace] = field(default_factory=list)
     tried: dict[str, list[RivalEntry]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     _training_errors: dict[Refitted, BlockErrors] = field(default_factory=dict)
@@ -192,9 +189,7 @@ class Refinement:
         What that gains is no effect's.
         """
         model = self.incoming_model
-        return refitted(
-            self.material, model, model.candidates, late=model.late, kept=False
-        )
+        return refitted(self.material, model, model.candidates, kept=False)
 
     def without(self, steps: Sequence[Step]) -> Refitted:
         """Return what the first of some steps has to be better than."""
@@ -339,13 +334,6 @@ class CandidateModel:
     effects: tuple[Candidate, ...]
     keeps_stages: bool
 
-    @property
-    def late(self) -> frozenset[Key]:
-        """Effects of the model that came after the file was identified."""
-        if not self.keeps_stages:
-            return self.loop.model.late
-        return self.loop.model.late | {effect.key for effect in self.effects}
-
     @cached_property
     def model(self) -> Refitted:
         """The model fitted to all logs."""
@@ -354,7 +342,6 @@ class CandidateModel:
             self.loop.material,
             model_before,
             (*model_before.candidates, *self.effects),
-            late=self.late,
             kept=self.keeps_stages,
         )
 
@@ -412,7 +399,7 @@ class CandidateModel:
         )
         robot = self.loop.material.robot
         effect = self.effects[number]
-        scenes = self.loop.material.ground(self.loop.model.stages).stage.scenes
+        scenes = self.loop.material.ground(self.loop.model).stage.scenes
         is_shown = effect.effect.shows(scenes, effect.joint, effect.settings)
         if effect.effect.family == "body" and effect.effect.arm:
             # What one joint alone shows may be that joint's.
@@ -567,6 +554,14 @@ def effect_of(result: TermResult) -> Candidate:
     """Return the effect that a term is."""
     assert isinstance(result.term.what, Candidate)
     return result.term.what
+
+
+def with_smooth_term(
+    material: RefinementData, model: Refitted, function: SmoothFunction
+) -> Refitted:
+    """Return a model with one smooth term more, fitted to what the model leaves."""
+    term = fitted_smooth(material, model, function)
+    return replace(model, effects=(*model.effects, term))
 
 
 def with_effects(model: Refitted, robot: Robot) -> Stages:

@@ -4,11 +4,14 @@
 Effects and base are fitted together on the training logs. The base is free where those
 stages have taken in what looked like friction in their trials. Then the effects' torque
 is taken out of all recordings, friction trials as well, and every stage runs again on
-them by its own recipe. Where the logs of the earlier stages are not at hand, the base
-moves as the joint fit on the training logs says.
+them by its own recipe. Where the logs of the earlier stages are not all at hand, the
+base moves as the joint fit on the training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the
 effects are fitted, beside a base that may move within the errors that the file gives.
+
+Smooth terms that the model has stay as they are: effects and stages are fitted to what
+they leave of the training logs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +28,6 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model, SelectionProblem
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_term
 from seqid_cli.discover.survey.rows import rows_of
@@ -33,17 +35,30 @@ from seqid_cli.effects.apply import session_of, without_effects
 from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.effects.smooth import SmoothTerm
 from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.recipe import friction_options, recipe_of, stage_settings
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
-from seqid_cli.identify.rigid.parameters import representative_of
+from seqid_cli.identify.rigid.parameters import made_consistent, representative_of
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.identify.rigid.simultaneous_equations import (
     FRICTION_TERMS,
     surface_entries,
 )
+from seqid_cli.identify.settings import (
+    FrictionSettings,
+    GravitySettings,
+    InertiaSettings,
+    SimultaneousSettings,
+)
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import (
+    EffectSession,
+    FrictionJoint,
+    FrictionStage,
+    RigidStage,
+    Stages,
+)
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -67,18 +82,22 @@ class Refitted:
         The stages without the effects.
     effects : tuple of Fitted
         Effects and smooth terms.
-    late : frozenset of Key
-        The effects that came after the file was identified.
     """
 
     stages: Stages
     effects: tuple[Fitted, ...]
-    late: frozenset[Key] = frozenset()
 
     @property
     def lasting(self) -> list[Fitted]:
         """Effects that were there all along."""
-        return [effect for effect in self.effects if key_of(effect) not in self.late]
+        return [effect for effect in self.effects if not effect.late]
+
+    @property
+    def smooth_terms(self) -> tuple[SmoothTerm, ...]:
+        """Its smooth terms."""
+        return tuple(
+            effect for effect in self.effects if isinstance(effect, SmoothTerm)
+        )
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -89,17 +108,26 @@ class Refitted:
                 fitted.joint,
                 dict(fitted.settings),
                 apart=fitted.effect.wide,
+                late=fitted.late,
             )
             for fitted in self.effects
             if isinstance(fitted, FittedEffect)
         ]
 
 
-def key_of(fitted: Fitted) -> Key | None:
-    """Return name and joint of a fitted effect; None for a smooth term."""
-    if isinstance(fitted, FittedEffect):
-        return fitted.effect.name, fitted.joint
-    return None
+class _Ground(NamedTuple):
+    """The problem of the training logs beside stages and smooth terms of a model."""
+
+    stages: Stages
+    smooth_terms: tuple[SmoothTerm, ...]
+    problem: SelectionProblem
+
+    def is_of(self, model: Refitted) -> bool:
+        """Return whether a model has the very same stages and smooth terms."""
+        ids = [id(term) for term in self.smooth_terms]
+        return self.stages is model.stages and ids == [
+            id(term) for term in model.smooth_terms
+        ]
 
 
 @dataclass(frozen=True)
@@ -116,13 +144,16 @@ class RefinementData:
         The arm.
     options : DiscoverOptions
         Where motion comes from.
+    incomplete : frozenset of str
+        Stages of which not all logs are at hand.
     """
 
     training: tuple[Recording, ...]
     earlier: Mapping[str, Sequence[Recording]]
     robot: Robot
     options: DiscoverOptions
-    _grounds: list[tuple[Stages, SelectionProblem]] = field(
+    incomplete: frozenset[str] = frozenset()
+    _grounds: list[_Ground] = field(
         init=False, default_factory=list, compare=False, repr=False
     )
 
@@ -131,21 +162,29 @@ class RefinementData:
         """What decides, by the user's settings."""
         return Options.of(self.options.settings.evidence)
 
-    def ground(self, stages: Stages) -> SelectionProblem:
-        """Return the problem of the training logs beside these stages.
+    def ground(self, model: Refitted) -> SelectionProblem:
+        """Return the problem of the training logs beside the stages of a model.
 
-        The last two are kept: they take most of the time.
+        The torque of its smooth terms is taken off; that of its effects is in the logs.
+        The last two problems are kept: they take most of the time.
         """
-        latest = next((pair for pair in self._grounds if pair[0] is stages), None)
-        earlier = [pair for pair in self._grounds if pair is not latest]
+        latest = next((each for each in self._grounds if each.is_of(model)), None)
+        earlier = [each for each in self._grounds if each is not latest]
         if latest is None:
+            stages = model.stages
+            smooth_terms = model.smooth_terms
             scenes = scenes_of(
-                self.training, self.robot, stages, options=self.options.motion
+                [self.without(log, stages, smooth_terms) for log in self.training],
+                self.robot,
+                stages,
+                options=self.options.motion,
             )
-            rows = rows_of(scenes)
-            latest = stages, SelectionProblem.of(rows, stages, self.selection_options)
+            problem = SelectionProblem.of(
+                rows_of(scenes), stages, self.selection_options
+            )
+            latest = _Ground(stages, smooth_terms, problem)
         self._grounds[:] = [latest, *earlier[:1]]
-        return latest[1]
+        return latest.problem
 
     def without(
         self, log: Recording, stages: Stages, effects: Sequence[Fitted]
@@ -196,6 +235,13 @@ class RefinementData:
             unique(self.earlier.get(stage, ())), key=lambda log: identity(log) in fitted
         )
 
+    def is_at_hand(self, stage: str) -> bool:
+        """Return whether all logs of an earlier stage are at hand.
+
+        From a part of its trials a stage would be another one.
+        """
+        return bool(self.earlier.get(stage)) and stage not in self.incomplete
+
     @property
     def known(self) -> bool:
         """Whether the file was identified from all of the training logs."""
@@ -229,7 +275,6 @@ def refitted(
     model: Refitted,
     candidates: Sequence[Candidate],
     *,
-    late: frozenset[Key],
     kept: bool,
 ) -> Refitted:
     """Fit effects and model together.
@@ -239,29 +284,29 @@ def refitted(
     material : RefinementData
         The logs.
     model : Refitted
-        The model as it stands.
+        The model as it stands; its smooth terms stay.
     candidates : sequence of Candidate
         All effects that the model is to have; without any it is identified anew.
-    late : frozenset of Key
-        Those of them that the logs of the earlier stages do not have.
     kept : bool
         The stages are right as they are, and only the effects are fitted.
     """
-    stages = model.stages
+    smooth_terms = model.smooth_terms
+    bare = Refitted(model.stages, smooth_terms)
     if not candidates:
-        bare = Refitted(stages, (), late)
         if kept:
             return bare
         return replace(bare, stages=_stages(material, bare, None))
 
-    fit = Model(material.ground(stages), HELD if kept else FREE, candidates)
+    fit = Model(material.ground(bare), HELD if kept else FREE, candidates)
     if not kept:
         # The effects' torque is taken out of all logs, and every stage runs again. The
         # new stages have absorbed nothing of them.
-        with_effects = Refitted(stages, tuple(_fitted_effects(material, fit)), late)
-        stages = _stages(material, with_effects, fit)
+        with_effects = replace(
+            bare, effects=(*_fitted_effects(material, fit), *smooth_terms)
+        )
+        bare = replace(bare, stages=_stages(material, with_effects, fit))
         unabsorbed = [replace(effect, absorbed="") for effect in fit.candidates]
-        fit = Model(material.ground(stages), FREE, unabsorbed)
+        fit = Model(material.ground(bare), FREE, unabsorbed)
 
     # Effects as they are beside exactly these stages; their errors are beside a base
     # that may move.
@@ -272,7 +317,7 @@ def refitted(
         replace(effect, coefficients=firm.coefficients(term))
         for effect, term in zip(_fitted_effects(material, fit), firm.terms, strict=True)
     ]
-    return Refitted(stages, tuple(effects), late)
+    return replace(bare, effects=(*effects, *smooth_terms))
 
 
 def fitted_smooth(
@@ -305,7 +350,8 @@ def fitted_smooth(
     term = smooth_term(fit.ground.stage, function, fit.ground.size)
     fit.terms.append(term)
     fit.settle()
-    return function.fitted(fit.coefficients(term)[: function.size])
+    fitted = function.fitted(fit.coefficients(term)[: function.size])
+    return replace(fitted, session=_session(material))
 
 
 def _fitted_effects(material: RefinementData, fit: Model) -> list[FittedEffect]:
@@ -313,8 +359,7 @@ def _fitted_effects(material: RefinementData, fit: Model) -> list[FittedEffect]:
 
     Errors are no narrower than the coefficients scatter over blocks.
     """
-    starts, is_shared = shared_starts(material.training)
-    session = session_of(material.training, starts, is_shared)
+    session = _session(material)
     return [
         FittedEffect(
             effect=candidate.effect,
@@ -323,58 +368,89 @@ def _fitted_effects(material: RefinementData, fit: Model) -> list[FittedEffect]:
             coefficients=fit.coefficients(term),
             covariance=fit.covariance(term),
             session=session,
+            late=candidate.late,
         )
         for term, candidate in zip(fit.terms, fit.candidates, strict=True)
     ]
+
+
+def _session(material: RefinementData) -> EffectSession:
+    """Return the training logs, as times and numbers of logs count in effects."""
+    starts, is_shared = shared_starts(material.training)
+    return session_of(material.training, starts, is_shared)
 
 
 # ---- every stage again
 
 
 def _stages(material: RefinementData, model: Refitted, fit: Model | None) -> Stages:
-    """Identify every stage again, on logs without the effects.
+    """Identify every stage again by its recipe, on logs without the effects.
 
-    Where the logs of the stages are not at hand, the base moves as `fit` says, or as a
-    free base without effects.
+    Where the logs of the stages are not all at hand, the base moves as `fit` says, or
+    as a free base without effects.
     """
     stages = model.stages
-    if stages.friction is not None and stages.friction.method == "simultaneous":
-        return _simultaneous(material, model, stages.friction, fit)
-
     needed = [
         stage
         for stage in ("friction", "gravity", "inertia")
         if getattr(stages, stage) is not None
     ]
-    if all(material.earlier.get(stage) for stage in needed):
-        return _sequential(material, model)
-    moving = fit or Model(material.ground(stages), FREE)
-    return moved(stages, moving, moving.linear.theta)
+    is_one_step = (
+        stages.friction is not None and stages.friction.method == "simultaneous"
+    )
+    if is_one_step:
+        new = _simultaneous(material, model, fit)
+    elif all(material.is_at_hand(stage) for stage in needed):
+        new = _sequential(material, model)
+    else:
+        moving = fit or Model(material.ground(model), FREE)
+        new = moved(stages, moving, moving.linear.theta)
+
+    # As the stages were asked for, and so that they can be identified alike again.
+    if new.inertia is not None and recipe_of(stages.inertia).consistent:
+        before = Stages() if is_one_step else new
+        new.inertia = made_consistent(new.inertia, before, material.robot)
+    for name in needed:
+        old_stage = getattr(stages, name)
+        new_stage = structs.replace(
+            getattr(new, name), settings=old_stage.settings, recipe=old_stage.recipe
+        )
+        setattr(new, name, new_stage)
+    return new
 
 
 def _simultaneous(
     material: RefinementData,
     model: Refitted,
-    friction: FrictionStage,
     fit: Model | None,
 ) -> Stages:
     """Identify friction and rigid body again, in one step."""
     stages = model.stages
-    logs = unique([*material.logs_of("friction"), *material.training])
+    assert stages.friction is not None
+    assert stages.inertia is not None
+    logs_of_stage = material.logs_of("friction")
     has_offset = any(
         len(joint.parameters) == len(FRICTION_TERMS)
-        for joint in friction.joints.values()
+        for joint in stages.friction.joints.values()
     )
+    options = _inertia_options(material, stages.inertia, logs_of_stage)
     new_friction, inertia = identify_simultaneous(
-        [material.freed(log, model) for log in logs],
+        [
+            material.freed(log, model)
+            for log in unique([*logs_of_stage, *material.training])
+        ],
         material.robot,
-        options=material.options.motion.motion,
+        options=options.motion,
         offset=has_offset,
+        imu=stages.imu,
+        source=options.source,
+        source_by_log=options.source_by_log,
+        settings=stage_settings(stages.inertia, SimultaneousSettings()),
     )
     new = Stages(friction=new_friction, imu=stages.imu, inertia=inertia)
     if not material.known:
         return new
-    return held(new, stages, fit or Model(material.ground(stages), FREE))
+    return held(new, stages, fit or Model(material.ground(model), FREE))
 
 
 def _sequential(material: RefinementData, model: Refitted) -> Stages:
@@ -404,19 +480,43 @@ def _sequential(material: RefinementData, model: Refitted) -> Stages:
     )
     if stages.gravity is not None and is_changed:
         with_gravity = identify_gravity(
-            [item.freed for item in gravity_logs], robot, new
+            [item.freed for item in gravity_logs],
+            robot,
+            new,
+            stage_settings(stages.gravity, GravitySettings()),
         )
         new.gravity = with_gravity.gravity
         new.friction = with_gravity.friction
     if stages.inertia is not None:
         logs = [item.freed for item in inertia_logs]
         logs += [freed(identity(log)) for log in material.training]
-        with_inertia = identify_inertia(
-            unique(logs), robot, new, options=material.options.motion
+        options = _inertia_options(
+            material, stages.inertia, [item.log for item in inertia_logs]
         )
+        options = replace(
+            options, settings=stage_settings(stages.inertia, InertiaSettings())
+        )
+        with_inertia = identify_inertia(unique(logs), robot, new, options=options)
         new.inertia = with_inertia.inertia
         new.friction = with_inertia.friction
     return new
+
+
+def _inertia_options(
+    material: RefinementData, stage: RigidStage, logs_of_stage: Sequence[Recording]
+) -> InertiaOptions:
+    """Return whose motion counts when a rigid body is identified again.
+
+    Of the stage's own logs it is what the user asked for then. Where that was left to
+    the stage, and of the other logs, it is what effects are looked for by.
+    """
+    options = material.options.motion
+    recipe = recipe_of(stage)
+    motion = replace(options.motion, reads_delays=recipe.reads_delays)
+    source_by_log = {}
+    if recipe.source != "auto":
+        source_by_log = {log.sha256: recipe.source for log in logs_of_stage}
+    return replace(options, motion=motion, source_by_log=source_by_log)
 
 
 @dataclass(frozen=True)
@@ -445,20 +545,31 @@ def _friction(
     changed = np.any([item.changed_joints for item in logs], axis=0)
     travel = np.array([np.ptp(item.freed.q, axis=0) for item in logs])
     moves = travel > MOVES * travel.max(axis=0)
-    logs_of_changed = [
-        item.freed
-        for item, moving in zip(logs, moves, strict=True)
-        if np.any(moving & changed)
-    ]
-    if not logs_of_changed:
+    if not np.any(moves & changed):
         return old
+
+    # With all logs of every joint that moves in them: orders that the user has fixed
+    # need as many speeds as there were.
+    together = changed
+    used = np.any(moves & together, axis=1)
+    while np.any(moves[used] & ~together):
+        together = together | np.any(moves[used], axis=0)
+        used = np.any(moves & together, axis=1)
+    logs_of_changed = [
+        item.freed for item, is_used in zip(logs, used, strict=True) if is_used
+    ]
 
     names = {
         name
         for name, is_changed in zip(robot.joint_names, changed, strict=True)
         if is_changed
     }
-    new = identify_friction(logs_of_changed, robot, options=FrictionOptions())
+    new = identify_friction(
+        logs_of_changed,
+        robot,
+        options=friction_options(old),
+        settings=stage_settings(old, FrictionSettings()),
+    )
     new_joints = {name: joint for name, joint in new.joints.items() if name in names}
     return structs.replace(
         old,  # joints in the file's order

@@ -25,7 +25,7 @@ from seqid_cli.discover.refinement.across_logs import (
     ResultAcrossLogs,
     across_logs,
 )
-from seqid_cli.discover.refinement.held_out import Gain, likelier
+from seqid_cli.discover.refinement.held_out import Gain, doubt, gain, likelier
 from seqid_cli.discover.refinement.loop import (
     ALL_ALONG,
     LATE,
@@ -35,20 +35,23 @@ from seqid_cli.discover.refinement.loop import (
     Refusal,
     Step,
     effect_of,
+    with_smooth_term,
 )
-from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted, key_of
+from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key, TermResult
+from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
-from seqid_cli.effects.fitted import Fitted, fitted_effects
+from seqid_cli.effects.fitted import fitted_effects
+from seqid_cli.effects.units import UNEXPLAINED
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording, by_log
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
-from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.params.schema import EffectOfPlace, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.working import step
 
@@ -64,6 +67,7 @@ def refine(
     file: ParameterFile,
     *,
     earlier: Mapping[str, Sequence[Recording]],
+    incomplete: frozenset[str] = frozenset(),
     options: DiscoverOptions,
 ) -> Refinement:
     """Add effects to a model, each decided on left-out blocks of the logs.
@@ -78,6 +82,8 @@ def refine(
         The model as it comes in.
     earlier : mapping of str to sequence of Recording
         Logs that its stages were identified from, by stage, where they are at hand.
+    incomplete : frozenset of str
+        Stages of which not all logs are at hand.
     options : DiscoverOptions
         Where motion comes from, and what is added.
 
@@ -92,13 +98,17 @@ def refine(
         training, robot, file.stages, options.motion, options.settings.evidence
     )
     options = replace(options, motion=motion)
-    material = RefinementData(tuple(training), earlier, robot, options)
+    material = RefinementData(
+        training=tuple(training),
+        earlier=earlier,
+        robot=robot,
+        options=options,
+        incomplete=incomplete,
+    )
 
     file_effects = fitted_effects(file.stages, robot, unexplained=True)
     stages = msgspec.structs.replace(file.stages, effects=None)
-    incoming_model = Refitted(
-        stages, tuple(file_effects), _late(file, file_effects, robot)
-    )
+    incoming_model = Refitted(stages, tuple(file_effects))
     loop = Refinement(
         material=material,
         incoming_stages=file.stages,
@@ -147,37 +157,25 @@ def on_the_same_samples(
 ) -> DiscoverOptions:
     """Return options by which all models are judged on the same samples.
 
-    These are where joints slide by the friction of these stages.
+    Where joints slide, and where their friction counts as identified, is said by these
+    stages: those that are identified anew may have seen more or less.
 
     Parameters
     ----------
     options : DiscoverOptions
         As they are.
     stages : Stages
-        Those whose friction says it.
+        Those whose friction decides.
     robot : Robot
         The arm.
     """
-    slowest = slides_from(TorqueModel.from_stages(stages, robot), options.motion)
-    return replace(
-        options, motion=replace(options.motion, slides_from=tuple(slowest.tolist()))
+    model = TorqueModel.from_stages(stages, robot)
+    motion = replace(
+        options.motion,
+        slides_from=tuple(slides_from(model, options.motion).tolist()),
+        identified_ranges=model.identified_ranges,
     )
-
-
-def _late(
-    file: ParameterFile, file_effects: Sequence[Fitted], robot: Robot
-) -> frozenset[Key]:
-    """Return effects of the file that an earlier refinement found to have come late."""
-    rounds = file.closed_loop.rounds if file.closed_loop is not None else []
-    late_names = {
-        (entry.effect, entry.joint) for entry in rounds if entry.reason == LATE
-    }
-    late = set()
-    for effect in file_effects:
-        key = key_of(effect)
-        if key is not None and (key[0], robot.name_of(key[1])) in late_names:
-            late.add(key)
-    return frozenset(late)
+    return replace(options, motion=motion)
 
 
 def _add_effects(loop: Refinement, investigation: Investigation) -> Investigation:
@@ -212,7 +210,13 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
             break
         if loop.stopped:
             new_effects = [effect_of(result) for result in new_results]
-            loop.untried = _each_once([*new_effects, *waiting])
+            loop.untried = [
+                EffectOfPlace(
+                    effect=effect.effect.name,
+                    joint=loop.material.robot.name_of(effect.joint),
+                )
+                for effect in _each_once([*new_effects, *waiting])
+            ]
             break
 
         n_left = max(len(new_results), len(waiting))
@@ -390,7 +394,7 @@ def _decided_when(
     late_model = CandidateModel(
         loop=loop,
         results=hypothesis,
-        effects=tuple(replace(effect, absorbed="") for effect in effects),
+        effects=tuple(replace(effect, absorbed="", late=True) for effect in effects),
         keeps_stages=True,
     )
 
@@ -479,8 +483,11 @@ def _round(
     if isinstance(result, ResultAcrossLogs) and len(result.across.names) > 1:
         across = result.across
     return RefinementRound(
-        effect="unexplained" if term.smooth else term.name,
+        effect=UNEXPLAINED if term.smooth else term.name,
         joint=robot.name_of(term.joint),
+        acts_on=[
+            robot.joint_names[joint] for joint in joints_below(term.channels, robot.n)
+        ],
         round=number,
         accepted=number is not None,
         training_gain=change.value,
@@ -499,6 +506,10 @@ def _add_smooth(loop: Refinement, investigation: Investigation) -> None:
     options = loop.material.selection_options
     for smooth in investigation.selection.smooth:
         result = across_logs(smooth, investigation.logs, options)
+        if loop.stopped:
+            joint = loop.material.robot.name_of(result.term.joint)
+            loop.untried.append(EffectOfPlace(effect=UNEXPLAINED, joint=joint))
+            continue
         if result.across.is_disproved(options.improvement):
             reason = Refusal.across_logs(result).reason
             loop.refused.append(_round(loop, investigation, result, reason=reason))
@@ -508,16 +519,21 @@ def _add_smooth(loop: Refinement, investigation: Investigation) -> None:
             loop.refused.append(_round(loop, investigation, result, reason=reason))
             continue
 
+        # Beside a base that moves it counted on what the base has moved by.
         function = result.term.what
         assert isinstance(function, SmoothFunction)
-        term = function.fitted(result.scored.fit.coefficients[: function.size])
+        model = with_smooth_term(loop.material, loop.model, function)
+        error_before = loop.error_of(loop.model)
+        error_after = loop.error_of(model)
+        joints = joints_below(result.term.channels, loop.material.robot.n)
+        change = gain(error_before, error_after, joints)
+        chance_probability = doubt(error_before, error_after, joints)
+        if change.value < options.improvement or chance_probability > options.alpha:
+            reason = "the model as it stands is not certainly better with it"
+            loop.refused.append(_round(loop, investigation, result, reason=reason))
+            continue
+
         entry = _round(loop, investigation, result, number=loop.added + 1, reason="")
-        model = loop.model
         loop.steps.append(
-            Step(
-                rounds=(entry,),
-                smooth=function,
-                keeps_stages=True,
-                model=replace(model, effects=(*model.effects, term)),
-            )
+            Step(rounds=(entry,), smooth=function, keeps_stages=True, model=model)
         )

@@ -24,7 +24,7 @@ from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.friction import slowest_speeds
-from seqid_cli.model.torque import Predicted, TorqueModel, sliding
+from seqid_cli.model.torque import Predicted, TorqueModel, outside_of, sliding
 from seqid_cli.motion.blocks import Plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
@@ -261,6 +261,7 @@ class Predictor:
         """
         model = self.model
         slowest = slides_from(model, self.options)
+        ranges = self.options.identified_ranges or model.identified_ranges
         is_sliding = sliding(motion, slowest)
 
         torque_of_effects = None
@@ -308,7 +309,7 @@ class Predictor:
             dq=inner_motion.dq,
             ddq=inner_motion.ddq,
             start=log.start,
-            outside=model.outside(inner_motion) & is_sliding[inner],
+            outside=outside_of(ranges, inner_motion) & is_sliding[inner],
             std=deviation.std[inner],
             parameter_std=deviation.parameter_std[inner],
             fast=None if deviation.fast is None else deviation.fast[inner],

@@ -38,9 +38,10 @@ def streams(stages: Stages, options: InertiaOptions) -> bool:
 
     They may where the motion is to be that of the encoders.
     """
+    sources = {options.source, *options.source_by_log.values()}
     imus = stages.imu is not None and bool(stages.imu.imus)
-    return options.source == "encoder" or (
-        options.source in ("auto", "needed") and not imus
+    return sources <= {"encoder"} or (
+        sources <= {"encoder", "auto", "needed"} and not imus
     )
 
 

@@ -178,7 +178,7 @@ class InertiaEquations:
                 self.robot,
                 options,
                 imu=self.stages.imu,
-                source=self.options.source,
+                source=self.options.source_of(log.sha256),
             )
             return LogMotions(
                 parts=[motion], lowpass=motion.lowpass, samples=motion.samples

@@ -21,7 +21,7 @@ parameters counts as an error of these, and their size as the error of the law o
 friction (`law_error`). Neither counts in predicted torques, which hold the same law.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 
@@ -73,6 +73,7 @@ def identify_simultaneous(
     offset: bool = True,
     imu: schema.ImuStage | None = None,
     source: str = "auto",
+    source_by_log: Mapping[str, str] | None = None,
     settings: SimultaneousSettings = SimultaneousSettings(),
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
     """Identify rigid body and Coulomb-viscous friction together.
@@ -90,6 +91,8 @@ def identify_simultaneous(
         Calibrated IMUs, for motion that is fused.
     source : str
         Whose motion counts: "auto", "encoder", "fused", "imu".
+    source_by_log : mapping of str to str, optional
+        The same of logs that have one of their own, by their SHA-256.
     settings : SimultaneousSettings
 
     Returns
@@ -109,7 +112,11 @@ def identify_simultaneous(
     noise = []
     for recording in recordings:
         motion = equations.torque_motion(
-            recording, robot, options, imu=imu, source=source
+            recording,
+            robot,
+            options,
+            imu=imu,
+            source=(source_by_log or {}).get(recording.sha256, source),
         )
         motions.append(deepcopy(motion))  # without the samples that it was thinned from
         uses.append(equations.motion_use(recording.path, robot, motion))

@@ -3,6 +3,7 @@ joints.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.refinement.loop import with_effects
@@ -58,9 +59,8 @@ def told_model(
         if not tried:
             return None
         model.add([tuner.tuned(tried[0]).candidate])
-    candidates = model.candidates
-    came = frozenset(c.key for c in candidates if late)
-    start = Refitted(stages, (), came)
+    candidates = [replace(c, late=late) for c in model.candidates]
+    start = Refitted(stages, ())
     return with_effects(
-        refitted(material, start, candidates, late=came, kept=late), material.robot
+        refitted(material, start, candidates, kept=late), material.robot
     )

@@ -81,6 +81,11 @@ def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
             [x.rmse for x in told.values()], error.rmse(), rtol=1e-8
         )
 
+    # The gain that follows from both is in the middle of its interval.
+    for name, (low, high) in done.loop.gain_interval.items():
+        ratio = done.loop.after[name].rmse / done.loop.before[name].rmse
+        assert 0.5 * (low + high) == pytest.approx(1.0 - ratio**2)
+
     kept = confirm(found, later.held_out, keep_unconfirmed=True)
     assert kept.stages == found.stages
     assert kept.loop.verdict == "poor"
@@ -139,7 +144,9 @@ class Path:
 
 
 def step_of(*names: str, before: frozenset[str] = frozenset()) -> Step:
-    rounds = tuple(RefinementRound(effect=name, joint="joint") for name in names)
+    rounds = tuple(
+        RefinementRound(effect=name, joint="joint", acts_on=["joint"]) for name in names
+    )
     model = before | set(names)
     beside = tuple(model - {name} for name in names) if len(names) > 1 else ()
     return Step(
@@ -208,13 +215,27 @@ def test_what_the_other_joints_lose_counts(other: float, *, confirmed: bool) -> 
     samples = np.ones((16, 2))
     before = BlockErrors(samples, samples, 0.0 * samples, 0.0 * samples)
     after = before._replace(squares=samples * [0.5, other])
-    entry = RefinementRound(effect="a", joint="joint")
+    entry = RefinementRound(effect="a", joint="joint", acts_on=["joint"])
     entry = confirming._with_gain(entry, before, after, refinement)
     assert entry.confirmed is confirmed
     assert entry.held_out_gain == pytest.approx(0.5)
     if not confirmed:
         said = confirming._reason_against(entry)
         assert said.startswith("the other joints lose more by it")
+
+
+def test_an_effect_counts_at_all_joints_that_it_acts_on() -> None:
+    """A coupled pair is named at one joint; at the other one it makes things worse."""
+    robot = SimpleNamespace(n=2, joint_names=("joint", "other"))
+    refinement = SimpleNamespace(material=SimpleNamespace(robot=robot))
+    samples = np.ones((16, 2))
+    before = BlockErrors(samples, samples, 0.0 * samples, 0.0 * samples)
+    after = before._replace(squares=samples * [0.5, 1.3])
+    entry = RefinementRound(
+        effect="coupling", joint="joint", acts_on=["joint", "other"]
+    )
+    entry = confirming._with_gain(entry, before, after, refinement)
+    assert entry.held_out_gain == pytest.approx(0.5 * (0.5 - 0.3))
 
 
 def test_the_identified_part_decides_and_the_other_one_is_told() -> None:
@@ -227,7 +248,7 @@ def test_the_identified_part_decides_and_the_other_one_is_told() -> None:
     moved = beyond * rng.uniform(0.2, 4.0, (16, 1))
     before = BlockErrors(1.0 + beyond, samples, beyond, 0.2 * samples)
     after = BlockErrors(0.5 + moved, samples, moved, 0.2 * samples)
-    entry = RefinementRound(effect="a", joint="joint")
+    entry = RefinementRound(effect="a", joint="joint", acts_on=["joint"])
     entry = confirming._with_gain(entry, before, after, refinement)
     assert entry.confirmed
     assert entry.held_out_gain == pytest.approx(0.5)
@@ -243,7 +264,7 @@ def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
     options = on_the_same_samples(DiscoverOptions(), logs.file().stages, logs.robot)
     material = RefinementData(tuple(logs.training), logs.earlier, logs.robot, options)
     before = Refitted(logs.file().stages, ())
-    rows = material.ground(before.stages).stage.rows
+    rows = material.ground(before).stage.rows
     speed = next(
         what for what in smooth_functions(rows, 1) if what.quantities == ("velocity",)
     )

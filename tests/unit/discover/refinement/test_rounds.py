@@ -16,6 +16,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import Gain
 from seqid_cli.discover.refinement.loop import CandidateModel, Decision, Judgement
+from seqid_cli.discover.refinement.reidentify import fitted_smooth
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.discover.select.options import Options
 from seqid_cli.effects.fitted import FittedEffect
@@ -24,6 +25,7 @@ from seqid_cli.effects.position_dependent_friction import (
 )
 from seqid_cli.effects.registry import CATALOGUE
 from tests.unit.discover.refinement.plants import recorded
+from tests.unit.effects.few import only_effects
 
 BOTH = (("presliding_hysteresis", 0, 1.0), ("presliding_hysteresis", 1, 1.0))
 
@@ -73,6 +75,34 @@ def test_a_limit_that_stops_it_is_told() -> None:
     untried = {(item.effect, item.joint) for item in stopped.untried}
     assert untried
     assert not untried & added
+
+
+@pytest.mark.slow
+def test_a_limit_binds_smooth_terms_and_they_are_fitted_beside_the_stages() -> None:
+    """Both joints have a drag that no effect of the catalogue explains."""
+    logs = recorded((("quadratic_drag", 0, 1.0), ("quadratic_drag", 1, 1.0)))
+    options = DiscoverOptions(max_effects=1, with_unexplained=True)
+    with only_effects(["spring"]):
+        found = refine(
+            logs.training,
+            logs.robot,
+            logs.file(),
+            earlier=logs.earlier,
+            options=options,
+        )
+    (step,) = found.steps
+    (entry,) = step.rounds
+    assert entry.effect == "unexplained"
+    other = {"shoulder": "elbow", "elbow": "shoulder"}[entry.joint]
+    assert [(item.effect, item.joint) for item in found.untried] == [
+        ("unexplained", other)
+    ]
+
+    term = step.model.effects[-1]
+    again = fitted_smooth(found.material, found.incoming_model, step.smooth)
+    np.testing.assert_allclose(term.coefficients, again.coefficients)
+    assert term.session.logs == [log.sha256 for log in logs.training]
+    assert step.model.stages is found.incoming_model.stages
 
 
 def candidate(waves: float, joint: int = 0) -> Candidate:

@@ -10,6 +10,7 @@ from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.settings import EvidenceSettings
 from seqid_cli.effects.apply import scene_of_log
 from seqid_cli.effects.link_readings import link_readings
+from seqid_cli.effects.payload import Payload
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
@@ -20,6 +21,7 @@ from seqid_cli.logs.recording import Recording, by_log, torque_of
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.params.schema import Stages
+from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -66,6 +68,7 @@ def scenes_of(
     starts, is_shared = shared_starts(logs)
     top_speed = np.max([np.max(np.abs(x.dq), axis=0) for x in motions], axis=0)
     sign_width = sign_widths(model, top_speed)
+    last_link = last_link_of(robot, stages)
 
     scenes = []
     for number, (log, motion, start) in enumerate(
@@ -80,9 +83,37 @@ def scenes_of(
             encoder=log.q,
             measured=log.tau,
             links=link_readings(log, robot, stages.imu, motion.lowpass),
+            last_link=last_link,
         )
         scenes.append(thinned(scene))
     return scenes
+
+
+def last_link_of(robot: Robot, stages: Stages) -> Array | None:
+    """Return what the files say of the last link and of what it carries.
+
+    Base parameters do not tell a link's mass from that of the link before: only the
+    inertials of the URDF do, and payloads that were added to the model.
+
+    Parameters
+    ----------
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model with its effects.
+
+    Returns
+    -------
+    (10,) array or None
+        Inertial parameters in the frame of the last joint; None where nothing says any.
+    """
+    payloads = [
+        np.array(entry.coefficients)
+        for entry in stages.effects or []
+        if entry.effect == Payload.name and len(entry.coefficients) == PER_LINK
+    ]
+    known = payloads if robot.nominal is None else [robot.nominal[-1], *payloads]
+    return np.sum(known, axis=0) if known else None
 
 
 def with_own_cutoffs(

@@ -6,11 +6,14 @@ Y_n are the columns of the last link in the regressor of Eq. 3, phi = (m, mx, my
 Ixx, Ixy, Iyy, Ixz, Iyz, Izz) the ten inertial parameters of what was added [kg, kg m,
 kg m^2], in the frame of the last joint, inertia about its origin. It is told only where
 a body has them, within their standard errors: one with a mass, whose centre is within
-the arm's reach, and whose inertia is that of a body. A file that holds a tool which is
-gone has to be identified anew. A payload that is in
-all logs cannot be told from the last link once the latter is free. Compare Khalil,
-Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
-manipulators", ICRA 2007.
+the arm's reach, and whose inertia is that of a body. Or a body has them with the
+opposite sign: a tool that was taken off. That is told only where the last link still is
+a body without it, by the inertials of the URDF and the payloads that the file has. Base
+parameters alone do not say what mass the last link carries: without either a file that
+holds a tool which is gone has to be identified anew. A payload that is in all logs
+cannot be told from the last link once the latter is free. Compare Khalil, Gautier,
+Lemoine, "Identification of the payload inertial parameters of industrial manipulators",
+ICRA 2007.
 """
 
 import contextlib
@@ -65,7 +68,8 @@ class Payload(Effect):
 
         It may lie so many standard errors away, or take away so little of what the
         coefficients explain, that no other effect of the same form would be told apart:
-        the torque of no arm is exactly its model's.
+        the torque of no arm is exactly its model's. What is taken off the last link
+        must be a body as well, and leave one there.
         """
         variances, directions = np.linalg.eigh(covariance)
         least = LEAST_VARIANCE * max(float(variances.max()), 1e-300)
@@ -73,11 +77,19 @@ class Payload(Effect):
         explained = float(np.sum((whitening @ c) ** 2))
         allowed = max(MOST_ERRORS**2, NEGLIGIBLE * explained)
 
-        # Where the solver finds nothing, nothing is known against the body.
-        with contextlib.suppress(QualityError):
-            _, distance = nearest_body(c, whitening, reach=_reach(scenes[0].robot))
-            return bool(distance**2 <= allowed)
-        return True
+        reach = _reach(scenes[0].robot)
+
+        def is_body(phi: Array) -> bool:
+            # Where the solver finds nothing, nothing is known against the body.
+            with contextlib.suppress(QualityError):
+                _, distance = nearest_body(phi, whitening, reach=reach)
+                return bool(distance**2 <= allowed)
+            return True
+
+        if is_body(c):
+            return True
+        last_link = scenes[0].last_link
+        return last_link is not None and is_body(-c) and is_body(last_link + c)
 
     def body_terms(
         self, robot: Robot, joint: Joint, settings: Settings

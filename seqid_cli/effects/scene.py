@@ -66,6 +66,9 @@ class Scene:
         (N, n) torque [N m; N where prismatic], not filtered.
     links : tuple of LinkReadings
         What calibrated IMUs read beyond what the encoders say.
+    last_link : Array, optional
+        (10,) inertial parameters of the last link with all that the files say it
+        carries, as in `payload`; None where none says any.
     full : Scene, optional
         The same log at its own rate, where this one has been decimated.
     """
@@ -84,6 +87,7 @@ class Scene:
     encoder: Array | None = None
     measured: Array | None = None
     links: tuple[LinkReadings, ...] = ()
+    last_link: Array | None = None
     full: Scene | None = None
 
     @property

@@ -117,7 +117,7 @@ def refine(
     )
 
     investigation = investigate(
-        material.now(incoming_model), robot, stages, options, least=0.0
+        material.now(incoming_model), robot, file.stages, options, least=0.0
     )
     selection = investigation.selection
     if selection.effects or (options.with_unexplained and selection.smooth):
@@ -253,7 +253,7 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 investigation,
                 loop.material.now(loop.model),
                 loop.material.robot,
-                loop.model.stages,
+                loop.stages,
                 loop.material.options,
                 candidates=waiting,
             )

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.discover.candidates import likeliest_log
+from seqid_cli.discover.scenes import last_link_of
 from seqid_cli.effects.base_tilt import (
     BaseTilt,
     first_joint_upright,
@@ -18,6 +19,7 @@ from seqid_cli.effects.measurement import MeasurementEffect
 from seqid_cli.effects.payload import Payload
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.spring import Spring
+from seqid_cli.params.schema import EffectOfJoint, Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import Array
@@ -115,6 +117,8 @@ def test_another_joints_zero_leaves_more() -> None:
     assert left[0] > 3.0 * left[1]
 
 
+# A kilogram that is spread by 0.1 m about the flange's origin.
+HULL = np.array([1.0, 0.0, 0.0, 0.0, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
 ERRORS = np.array([0.05, *[0.01] * 3, *[0.004] * 6])  # kg, kg m, kg m^2
 
 
@@ -134,6 +138,44 @@ ERRORS = np.array([0.05, *[0.01] * 3, *[0.004] * 6])  # kg, kg m, kg m^2
 def test_a_payload_is_a_body(phi: Array, exists: bool) -> None:
     scenes = [scene_of(wander(3.0))]
     assert Payload().can_exist(scenes, phi, np.diag(ERRORS**2)) == exists
+
+
+@pytest.mark.parametrize(
+    ("carried", "exists"),
+    [
+        # as heavy as what is gone, and heavier
+        (1.0, True),
+        (2.0, True),
+        # too light; or nothing says what the last link carries
+        (0.2, False),
+        (None, False),
+    ],
+)
+def test_a_tool_that_is_gone_was_there(carried: float | None, exists: bool) -> None:
+    scene = scene_of(wander(3.0))
+    if carried is not None:
+        scene = replace(scene, last_link=0.05 * HULL + carried * point_mass())
+    gone = -point_mass()
+    assert Payload().can_exist([scene], gone, np.diag(ERRORS**2)) == exists
+
+
+def test_what_is_gone_was_a_body() -> None:
+    """However heavy the last link is: a moment without a mass is none."""
+    scene = replace(scene_of(wander(3.0)), last_link=100.0 * HULL)
+    moment = np.array([0.0, 0.3, *[0.0] * 8])
+    assert not Payload().can_exist([scene], moment, np.diag(ERRORS**2))
+
+
+def test_the_last_link_is_that_of_the_urdf_with_the_payloads_of_the_file() -> None:
+    robot = two_joint_robot()
+    bare = replace(robot, nominal=None)
+    urdf = replace(robot, nominal=np.array([0.0 * HULL, HULL]))
+    payload = EffectOfJoint(effect="payload", coefficients=point_mass().tolist())
+    file = Stages(effects=[EffectOfJoint(effect="base_tilt"), payload])
+    assert last_link_of(bare, Stages()) is None
+    np.testing.assert_allclose(last_link_of(urdf, Stages()), HULL)
+    np.testing.assert_allclose(last_link_of(bare, file), point_mass())
+    np.testing.assert_allclose(last_link_of(urdf, file), HULL + point_mass())
 
 
 def test_what_is_not_known_of_a_payload_is_not_held_against_it() -> None:

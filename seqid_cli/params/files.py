@@ -1,15 +1,29 @@
-"""Files that are replaced in one step: a reader sees the old content or the new."""
+"""Files that are replaced in one step: a reader sees the old content or the new.
+
+A file is written beside its place, under a random name, and then takes the place. The
+writer holds a lock on it as long as it lives: what nobody holds was left by a run that
+was killed. Numbers of processes would not do, as two containers may have the same.
+"""
 
 import contextlib
+import errno
 import glob
 import os
 import re
+import secrets
+import time
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, TypeVar
 
 from seqid_cli.errors import UsageError
+
+# A file that no lock protects is abandoned when nobody has written to it for a day.
+_ABANDONED_S = 86400.0
+# Who removes what is abandoned may take a new file for it before it is locked: another
+# is made, so often.
+_TRIES = 10
 
 T = TypeVar("T")
 By = Literal["name", "folder"]  # that tells robots apart
@@ -45,9 +59,8 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
         # The rights of a folder do not say all: some names, and some file systems, are
         # refused only when a file is made.
         if not _is_special(path):
-            trial = _temporary(_target(path))
-            trial.touch()
-            trial.unlink()
+            with _temporary(_target(path)):
+                pass
 
 
 def _check_place(path: Path) -> None:
@@ -121,16 +134,14 @@ def replacing(path: Path) -> Iterator[Path]:
         return
     target = _target(path)
     _without_leftovers(target)
-    temporary = _temporary(target)
-    try:
+    with contextlib.ExitStack() as stack:
+        with writing(path):
+            temporary = stack.enter_context(_temporary(target))
         yield temporary
         with writing(path):
             _sync(temporary)
             temporary.replace(target)
             _sync(target.parent)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _target(path: Path) -> Path:
@@ -138,9 +149,25 @@ def _target(path: Path) -> Path:
     return Path(os.path.realpath(path))  # `Path.resolve` fails at a link to itself
 
 
-def _temporary(target: Path) -> Path:
-    """Return the path of this process's temporary file beside a file."""
-    return target.with_name(f".{_short(target.name)}.{os.getpid()}.tmp")
+@contextlib.contextmanager
+def _temporary(target: Path) -> Iterator[Path]:
+    """Make an empty file beside a file, held as long as the block; it is removed."""
+
+    def made() -> Path:
+        name = f".{_short(target.name)}.{secrets.token_hex(8)}.tmp"
+        path = target.with_name(name)
+        paths.append(path)  # first: an interrupt may come as soon as the file is there
+        path.touch(exist_ok=False)
+        return path
+
+    paths: list[Path] = []
+    try:
+        with held(made) as path:
+            yield path
+    finally:
+        for path in paths:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
 
 
 def _short(name: str, most: int = 200) -> str:
@@ -149,24 +176,84 @@ def _short(name: str, most: int = 200) -> str:
     return name if len(encoded) <= most else f"{zlib.crc32(encoded):08x}"
 
 
+def leftovers(target: Path) -> Iterator[Path]:
+    """Yield the temporary files of a file: of killed runs, and of those that live."""
+    yield from target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp")
+
+
 def _without_leftovers(target: Path) -> None:
     """Remove temporary files that killed runs left beside a file."""
-    for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
-        process = path.suffixes[-2][1:]
-        if process.isdecimal() and not process_runs(int(process)):
+    for path in leftovers(target):
+        if is_abandoned(path):
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
 
 
-def process_runs(process: int) -> bool:
-    """Return whether there is a process of this number."""
+@contextlib.contextmanager
+def held(make: Callable[[], Path]) -> Iterator[Path]:
+    """Make a file or a folder and hold it while the block lasts, or the process lives.
+
+    Where the system has no such locks, as Windows or some network drives, nothing is
+    held: `is_abandoned` goes by age there.
+
+    Parameters
+    ----------
+    make : callable
+        Makes an empty file or folder of a name that nobody else has.
+    """
+    for _ in range(_TRIES):
+        path = make()
+        try:
+            handle = _locked(path)
+        except OSError:
+            continue
+        if handle is None or path.exists():
+            break
+        os.close(handle)
+    else:
+        raise FileNotFoundError(errno.ENOENT, "its temporary file is removed each time")
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+        yield path
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def is_abandoned(path: Path) -> bool:
+    """Tell whether nobody holds a file or a folder; by age where no lock can tell."""
+    try:
+        age_s = time.time() - path.stat().st_mtime
+        handle = _locked(path)
+    except OSError:  # held, or gone, or of somebody else
         return False
-    except (OSError, OverflowError):
-        return True  # it is somebody else's
+    if handle is None:
+        return age_s > _ABANDONED_S
+    os.close(handle)
     return True
+
+
+def _locked(path: Path) -> int | None:
+    """Return a handle that holds a lock on a path; None where there are no locks.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process, or another part of this one, holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return None
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise
+    except OSError:  # a network drive without locks
+        os.close(handle)
+        return None
+    return handle
 
 
 def write_text_atomic(path: Path, text: str, *, inputs: Iterable[Path] = ()) -> None:

@@ -277,7 +277,7 @@ class Forks:
                 os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
             )
             self.killed += killed
-            for rest in target.parent.glob(f".*.{child}.tmp"):
+            for rest in files.leftovers(target):
                 self.inside += 1
                 if left:  # the last is for the next run
                     rest.unlink()
@@ -289,7 +289,7 @@ class Forks:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
                 return True
             code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-            if code != 2 or any(target.parent.glob(f".*.{child}.tmp")):
+            if code != 2 or any(files.leftovers(target)):
                 self.wrong.append(
                     f"{target.name}: {code} or litter with room for {room} bytes"
                 )
@@ -306,12 +306,11 @@ class Forks:
 def _count_events(pipe: int, target: Path) -> None:
     """Tell between which calls and returns a file is written and gets its name."""
     count = first = 0
-    temporary = files._temporary(target)
 
     def profile(frame: FrameType, event: str, _: object) -> None:
         nonlocal count, first
         count += 1
-        if not first and temporary.exists():
+        if not first and any(files.leftovers(target)):
             first = count
         if event == "return" and frame.f_code.co_name == "replace":
             sys.setprofile(None)

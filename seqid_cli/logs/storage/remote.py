@@ -19,18 +19,17 @@ file, which is removed afterwards, in this process or in others.
 
 from __future__ import annotations
 
+import contextlib
 import glob
-import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
-from seqid_cli.params.files import process_runs
+from seqid_cli.params.files import held, is_abandoned
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -41,27 +40,39 @@ else:
     _LocalPath = type(Path())
 
 
-@contextmanager
+_PREFIX = "seqid-log-"
+
+
+@contextlib.contextmanager
 def temporary_folder(where: str) -> Iterator[Path]:
     """Yield an empty folder for a copy of the log `where`.
 
     Folders that killed runs have left are removed first.
     """
-    for leftover in Path(tempfile.gettempdir()).glob("seqid-*-*"):
-        process = leftover.name.split("-")[1]
-        if process.isdecimal() and not process_runs(int(process)):
+    for leftover in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        if is_abandoned(leftover):
             shutil.rmtree(leftover, ignore_errors=True)
-    try:
-        folder = tempfile.TemporaryDirectory(prefix=f"seqid-{os.getpid()}-")
-    except OSError as error:
-        raise InputError(
-            f"cannot be copied: {error.strerror or error}",
-            hint=f"Check the space for temporary files in {tempfile.gettempdir()}"
-            " (TMPDIR).",
-            where=where,
-        ) from error
-    with folder as name:
-        yield Path(name)
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(held(_new_folder(stack)))
+        except OSError as error:
+            raise InputError(
+                f"cannot be copied: {error.strerror or error}",
+                hint=f"Check the space for temporary files in {tempfile.gettempdir()}"
+                " (TMPDIR).",
+                where=where,
+            ) from error
+        yield folder
+
+
+def _new_folder(stack: contextlib.ExitStack) -> Callable[[], Path]:
+    """Return what makes a folder that is removed with the stack."""
+
+    def made() -> Path:
+        folder = tempfile.TemporaryDirectory(prefix=_PREFIX, ignore_cleanup_errors=True)
+        return Path(stack.enter_context(folder))
+
+    return made
 
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")  # two letters at least: no drive of Windows
@@ -206,7 +217,7 @@ def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
     return [log for log in logs if not log.name.startswith(".")]
 
 
-@contextmanager
+@contextlib.contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
     """Yield a local file with the content of a log, itself where it is local.
 
@@ -247,7 +258,7 @@ def _opened(url: str) -> tuple[Any, str]:
     return system, str(place)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _explained(url: str) -> Iterator[None]:
     """Turn what a store says into a message; each kind of store has its own errors."""
     try:

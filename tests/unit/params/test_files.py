@@ -5,13 +5,19 @@ work.
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from seqid_cli.errors import UsageError
 from seqid_cli.params import files
-from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.params.files import (
+    check_output,
+    leftovers,
+    replacing,
+    write_text_atomic,
+)
 
 PROGRAM = """
 import sys
@@ -56,13 +62,67 @@ def test_new_files_have_the_usual_rights_and_links_that_lead_somewhere_stay(
 def test_what_a_killed_run_left_is_removed_and_what_a_living_one_writes_stays(
     tmp_path: Path,
 ) -> None:
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left, written = (tmp_path / f".a[1].json.{x}.tmp" for x in (gone.pid, os.getppid()))
-    for path in (left, written):
+    """Whatever the numbers of the processes: containers may have the same."""
+    target = tmp_path / "a[1].json"
+    left = tmp_path / ".a[1].json.0123.tmp"
+    left.write_text("half")
+    with replacing(target) as written:
+        written.write_text("half")
+        write_text_atomic(target, "whole")
+        assert (left.exists(), written.exists()) == (False, True)
+        assert list(leftovers(target)) == [written]
+    assert target.read_text() == "half"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_without_locks_leftovers_go_by_age(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    new, old = tmp_path / ".a.json.1.tmp", tmp_path / ".a.json.2.tmp"
+    for path in (new, old):
         path.write_text("half")
-    write_text_atomic(tmp_path / "a[1].json", "whole")
-    assert (left.exists(), written.exists()) == (False, True)
+    two_days_ago = time.time() - 2 * 86400.0
+    os.utime(old, (two_days_ago, two_days_ago))
+    write_text_atomic(tmp_path / "a.json", "whole")
+    assert (new.exists(), old.exists()) == (True, False)
+
+
+def test_a_new_file_that_is_taken_for_a_leftover_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between making and locking it another run may clean up."""
+    own, made = files._locked, []
+
+    def after_a_cleaning(path: Path) -> int | None:
+        made.append(path)
+        if len(made) < 3:
+            path.unlink()
+        return own(path)
+
+    monkeypatch.setattr(files, "_locked", after_a_cleaning)
+    write_text_atomic(tmp_path / "a.json", "whole")
+    assert (tmp_path / "a.json").read_text() == "whole"
+    assert len(set(made)) == len(made)
+    monkeypatch.setattr(files, "_locked", lambda path: own(path.parent / "gone"))
+    with pytest.raises(UsageError, match="cannot be written"):
+        write_text_atomic(tmp_path / "a.json", "again")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_an_interrupt_while_a_place_is_tried_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = Path.touch
+
+    def interrupted(path: Path, *, exist_ok: bool = True) -> None:
+        own(path, exist_ok=exist_ok)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "touch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        check_output(tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
@@ -103,9 +163,8 @@ def test_every_name_that_the_file_system_takes_is_written(
     length: int, tmp_path: Path
 ) -> None:
     path = tmp_path / ("ö" * 50 + "n" * (length - 100))
-    left = tmp_path / files._temporary(path).name.replace(
-        f".{os.getpid()}.", ".999999999."
-    )
+    with files._temporary(path) as temporary:
+        left = temporary.with_suffix(".999.tmp")
     left.write_text("half")
     write_text_atomic(path, "new")
     assert path.read_text() == "new"

@@ -1,7 +1,7 @@
 """Files that are replaced in one step: a reader sees the old content or the new.
 
 A file is written beside its place, under a random name, and then takes the place. The
-writer holds a lock on it as long as it lives: what nobody holds was left by a run that
+writer holds a lock on it as long as it lives: what no run holds was left by one that
 was killed. Numbers of processes would not do, as two containers may have the same.
 """
 
@@ -19,7 +19,7 @@ from typing import Literal, TypeVar
 
 from seqid_cli.errors import UsageError
 
-# A file that no lock protects is abandoned when nobody has written to it for a day.
+# A file that no lock protects is abandoned when it was not written to for a day.
 _ABANDONED_S = 86400.0
 # Who removes what is abandoned may take a new file for it before it is locked: another
 # is made, so often.
@@ -199,7 +199,7 @@ def held(make: Callable[[], Path]) -> Iterator[Path]:
     Parameters
     ----------
     make : callable
-        Makes an empty file or folder of a name that nobody else has.
+        Makes an empty file or folder of a name that no other has.
     """
     for _ in range(_TRIES):
         path = make()
@@ -220,7 +220,7 @@ def held(make: Callable[[], Path]) -> Iterator[Path]:
 
 
 def is_abandoned(path: Path) -> bool:
-    """Tell whether nobody holds a file or a folder; by age where no lock can tell."""
+    """Tell whether no run holds a file or a folder; by age where no lock can tell."""
     try:
         age_s = time.time() - path.stat().st_mtime
         handle = _locked(path)

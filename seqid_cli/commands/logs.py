@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -189,6 +189,16 @@ def init(
             help="Motor turns per joint turn: one for all joints, or one for each.",
         ),
     ] = None,
+    unit: Annotated[
+        Literal["rad", "deg", "percent"] | None,
+        typer.Option(
+            "--unit",
+            help=(
+                "Unit of positions, where names and values do not tell it; percent is"
+                " of the joints' limits."
+            ),
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite a robot file that exists.")
     ] = False,
@@ -235,6 +245,7 @@ IMUs as far as known.
         urdf=urdf_text,
         urdf_path=_path_from_robot_file(urdf, output),
         drives=drives,
+        unit=unit,
         name=name or urdf_name or "robot",
     )
     content = robot_toml(proposal.template)

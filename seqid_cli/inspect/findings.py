@@ -27,7 +27,9 @@ ERRORS: Mapping[str, str] = {
     ),
     "time_unit": 'Write time_unit = "ms" (or us, ns) under [channels], or log seconds.',
     "clock_set_back": "Use --time log, or split the log there.",
-    "position_in_degrees": 'Write unit = "deg" under [channels] of the robot file.',
+    "position_in_degrees": (
+        'Write unit = "deg" under [channels] of the robot file, or unit = "percent".'
+    ),
     "position_in_mm": 'Write length_unit = "mm" under [channels] of the robot file.',
     "position_motor_side": "Log the joint's position, or divide by the gear ratio.",
     "position_spikes": "Look at cable and driver of the encoder; remove these samples.",

@@ -14,13 +14,14 @@ from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 _STATE_ENDING = re.compile("(?:[._]pos(?:ition)?|[.]q)$")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogContents:
     """The content of one log."""
 
     format: str
     channels: tuple[str, ...]  # columns of a table, or topics
     joints: tuple[str, ...]  # that messages, rows or a LeRobot data set name, in order
+    named: bool = True  # whether they are names; else the joints are only counted
     columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
     # that may carry joint states, where none does for sure; the first has `joints`
     state_topics: tuple[str, ...] = ()
@@ -34,25 +35,42 @@ def contents_of(path: Path) -> LogContents:
     if kind == "parquet":
         table = parquet.open_table(file)
         joints = tuple(table.entries) or _lerobot_joints(file, table.names)
-        return LogContents(kind, parquet.list_columns(file), joints, table.names)
+        return LogContents(
+            format=kind,
+            channels=parquet.list_columns(file),
+            joints=joints or _counted(table.names),
+            named=bool(joints),
+            columns=table.names,
+        )
     if kind == "csv":
         form = read_form(file)
-        return LogContents(kind, form.names, tuple(form.places), form.columns)
+        return LogContents(
+            format=kind,
+            channels=form.names,
+            joints=tuple(form.places),
+            columns=form.columns,
+        )
 
     list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
     contents = list_topics(file)
     return LogContents(
-        kind,
-        tuple(topic.topic for topic in contents.topics),
-        contents.joints,
+        format=kind,
+        channels=tuple(topic.topic for topic in contents.topics),
+        joints=contents.joints,
         state_topics=contents.state_topics,
     )
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:
-    """Name the joints of a LeRobot state as its data set does, or else by number."""
-    size = sum(name.startswith(f"{LEROBOT_STATE}[") for name in columns)
+    """Name the joints of a LeRobot state as its data set does; empty if it does not."""
+    size = len(_counted(columns))
     motors = parquet.lerobot_names(path) if size else []
     if len(motors) != size:
-        return tuple(f"joint_{k + 1}" for k in range(size))
+        return ()
     return tuple(_STATE_ENDING.sub("", motor) for motor in motors)
+
+
+def _counted(columns: tuple[str, ...]) -> tuple[str, ...]:
+    """Number the joints of a LeRobot state."""
+    size = sum(name.startswith(f"{LEROBOT_STATE}[") for name in columns)
+    return tuple(f"joint_{k + 1}" for k in range(size))

@@ -8,6 +8,8 @@ with the motor's speed w = gear_ratio dq [rad/s], k_e = torque_constant in SI un
 [V s/rad = N m/A] and the winding resistance R [ohm].
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from seqid_cli.logs.raw import Array, Stamps
@@ -33,15 +35,14 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
         motor side]; `voltage` and `pwm` have become `current`.
     """
     converted = dict(channels)
-    angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
-    length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
-    if angle != 1.0 or length != 1.0:
-        factor = np.array(
-            [length if joint.prismatic else angle for joint in robot.joints]
-        )
+    scale = _position_scale(robot)
+    if (scale.factor != 1.0).any():
         for quantity in ("position", "velocity", "link_position"):
             if quantity in converted:
-                converted[quantity] = converted[quantity] * factor
+                converted[quantity] = converted[quantity] * scale.factor
+        for quantity in ("position", "link_position"):
+            if quantity in converted:
+                converted[quantity] = converted[quantity] + scale.middle
 
     if robot.channels.effort == "gravity_compensated" and "torque" in converted:
         gravity_torque = _gravity_of_driver(converted["position"], robot)
@@ -54,6 +55,27 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
     if voltage is not None and "current" not in converted:
         converted["current"] = _current(voltage, converted, stamps, robot)
     return converted
+
+
+class _Scale(NamedTuple):
+    """What positions in a log are times, and where they are counted from."""
+
+    factor: Array  # (n,) rad, m
+    middle: Array  # (n,) rad, m
+
+
+def _position_scale(robot: Robot) -> _Scale:
+    """Return the scale of positions as the units of the robot file say."""
+    middle = np.zeros(robot.n)
+    if robot.channels.unit == "percent":
+        # The file is checked to have limits.
+        limits = np.array([joint.position_limits for joint in robot.joints], np.float64)
+        half_range = 0.5 * (limits[:, 1] - limits[:, 0])
+        return _Scale(factor=half_range / 100.0, middle=limits.mean(axis=1))
+    angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
+    length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
+    factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
+    return _Scale(factor=factor, middle=middle)
 
 
 def _gravity_of_driver(q: Array, robot: Robot) -> Array:

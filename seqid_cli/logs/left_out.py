@@ -163,6 +163,8 @@ def _alone(joint: LockedJoint, robot: Robot) -> Robot:
         names=_by_name(robot.channels.names),
         **dict.fromkeys(QUANTITIES[1:]),
         effort=None,
+        # Percent are of the limits in the robot file, which has none of this joint.
+        unit="rad" if robot.channels.unit == "percent" else robot.channels.unit,
     )
     return replace(robot, joints=(joint.joint,), imus=(), effects=(), channels=channels)
 

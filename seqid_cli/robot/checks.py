@@ -66,9 +66,9 @@ _LIMITS = {
     "position_zero_error": (0.0, 1.0),
     "rotor_inertia": (0.0, LARGEST),
 }
-# What the motor's data must hold for a log of these channels.
+# What the motor's data must hold for a log of these channels. A current without them is
+# told by the log: a file for logs of several kinds need not have them.
 _NEEDED = {
-    "current": ("torque_constant",),
     "voltage": ("torque_constant", "winding_resistance"),
     "pwm": ("torque_constant", "winding_resistance", "supply_voltage"),
 }
@@ -276,6 +276,8 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
         )
     if channels.interface is not None:
         yield from _interface(channels.interface)
+    if channels.unit == "percent":
+        yield from _percent(robot)
     for quantity in channels.__struct_fields__:
         key = f"channels.{quantity}"
         names = getattr(channels, quantity)
@@ -291,6 +293,17 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
             yield Problem(
                 f"{key} names {n_different} columns for {len(robot.joint)} joints",
                 "List one column for each joint, in the order of the [[joint]] tables.",
+            )
+
+
+def _percent(robot: RobotFile) -> Iterator[Problem]:
+    """Yield joints without the limits that positions in percent are of."""
+    for k, joint in enumerate(robot.joint):
+        if joint.position_limits is None:
+            yield Problem(
+                "channels.unit is 'percent', but"
+                f" joint[{k}].position_limits (joint {joint.name!r}) is missing",
+                "Give the positions [rad] at which the log has -100 and 100.",
             )
 
 
@@ -337,10 +350,6 @@ def _missing_drive_data(robot: RobotFile) -> Iterator[Problem]:
         for kind in _NEEDED
         if getattr(channels, kind) is not None
     }
-    if channels.effort == "current":
-        kind_by_source["channels.effort"] = "current"
-    if channels.interface is not None and channels.interface.current is not None:
-        kind_by_source["channels.interface.current"] = "current"
     for source, kind in kind_by_source.items():
         for k, joint in enumerate(robot.joint):
             for name in _NEEDED[kind]:

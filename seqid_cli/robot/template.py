@@ -39,6 +39,8 @@ class RobotTemplate:
     imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()  # joints of the URDF that are not in the log
+    # whether positions are in degrees or in percent, which the log does not tell
+    may_be_percent: bool = False
 
 
 def robot_toml(template: RobotTemplate) -> str:

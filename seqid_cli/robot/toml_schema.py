@@ -186,7 +186,13 @@ class Channels(Table, frozen=True):
         Literal["torque", "current", "gravity_compensated"] | None,
         Meta(description="what the effort of a JointState is"),
     ] = None
-    unit: Annotated[Literal["rad", "deg"], Meta(description="unit of angles")] = "rad"
+    unit: Annotated[
+        Literal["rad", "deg", "percent"],
+        Meta(
+            description="unit of positions and speeds; 'percent' where -100 and 100 are"
+            " the ends of position_limits, as LeRobot may log it"
+        ),
+    ] = "rad"
     length_unit: Annotated[
         Literal["m", "mm"], Meta(description="unit of sliding joints' positions")
     ] = "m"

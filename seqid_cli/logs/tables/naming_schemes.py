@@ -94,6 +94,9 @@ COMMANDED = frozenset(
         "commanded",
         "ref",
         "goal",
+        "action",
+        "request",
+        "requested",
         "setpoint",
         "soll",
         "d",
@@ -114,6 +117,7 @@ MEASURED = frozenset(
         "state",
         "states",
         "actual",
+        "present",
         "measured",
         "meas",
         "act",
@@ -142,6 +146,7 @@ WORDS: Mapping[str, frozenset[str]] = _guessed_words()
 _RTDE = {
     "position": "actual_q",
     "velocity": "actual_qd",
+    "torque": "actual_current_as_torque",
     "current": "actual_current",
     "temperature": "joint_temperatures",
 }

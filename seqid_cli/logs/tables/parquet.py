@@ -6,7 +6,7 @@ above its data files.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
 from seqid_cli.logs.tables.csv_form import LONGEST_LIST
-from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS
+from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS, WORDS
 from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
 from seqid_cli.robot.types import Robot
 
@@ -27,6 +27,10 @@ BLOCK_ROWS = 65_536
 _LARGEST = 16 << 20  # bytes of an info.json
 # What stands behind a joint's name where a file names the elements of its lists.
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
+# ... and where the element is another quantity.
+_OTHER_THAN_POSITION = frozenset[str]().union(
+    *(words for quantity, words in WORDS.items() if quantity != "position")
+)
 
 
 def lerobot_names(path: Path) -> list[str]:
@@ -79,12 +83,17 @@ class ParquetTable(TableFile):
 
     # list columns of numbers, and how long the lists are
     lists: dict[str, int] = field(default_factory=dict)
+    # names of elements that stand for a list column and the place in it
+    elements: Mapping[str, tuple[str, int]] = field(default_factory=dict)
 
     def tables(
         self, columns: Sequence[str], rows: int | None
     ) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
         element_of = elements_in(columns, self.lists)
+        for name in columns:
+            if name in self.elements:
+                element_of[name] = self.elements[name]
         list_columns = dict.fromkeys(name for name, _ in element_of.values())
         plain_columns = [name for name in columns if name not in element_of]
         for table in read_tables(self.path, [*list_columns, *plain_columns], rows=rows):
@@ -213,9 +222,14 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
 
     entries = {name: place for place, name in enumerate(names_in_rows)}
     notes: tuple[str, ...] = ()
+    elements: dict[str, tuple[str, int]] = {}
     if is_lerobot:
-        entries = _entries(joints, lerobot_names(path))
-        if len(entries) < len(joints):
+        names_in_state = lerobot_names(path)
+        elements = _elements_of_state(names_in_state, lists[LEROBOT_STATE])
+        entries = _entries(joints, names_in_state)
+        if elements:
+            entries = _joints_of_state(names_in_state)
+        elif len(entries) < len(joints):
             entries = {}
             notes = (
                 f"{LEROBOT_STATE}: values are taken in the order of the robot file",
@@ -223,14 +237,42 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     names = list(fields.names)
     for name, length in lists.items():
         names += [f"{name}[{k}]" for k in range(length)]
+    names += [name for name in elements if name not in names]
     return ParquetTable(
         path=path,
         names=tuple(names),
         entries=entries,
-        named=bool(names_in_rows),
+        named=bool(names_in_rows or elements),
         notes=notes,
         lists=lists,
+        elements=elements,
     )
+
+
+def _elements_of_state(names: Sequence[str], length: int) -> dict[str, tuple[str, int]]:
+    """Return elements of a LeRobot state by name, where some are no positions.
+
+    Robots with torque feedback have `elbow.pos`, `elbow.vel` and `elbow.torque` in one
+    list. Each of them is a column by its name then.
+    """
+    endings = {name.replace("_", ".").rpartition(".")[2] for name in names}
+    if len(names) != length or endings.isdisjoint(_OTHER_THAN_POSITION):
+        return {}
+    elements: dict[str, tuple[str, int]] = {}
+    for place, name in enumerate(names):
+        elements.setdefault(name, (LEROBOT_STATE, place))
+    return elements
+
+
+def _joints_of_state(names: Sequence[str]) -> dict[str, int]:
+    """Return the place of each joint's position in a LeRobot state of several kinds."""
+    places: dict[str, int] = {}
+    for place, name in enumerate(names):
+        for ending in _ENDINGS[1:]:
+            if name.endswith(ending):
+                places.setdefault(name.removesuffix(ending), place)
+                break
+    return places
 
 
 def _entries(joints: Sequence[str], element_names: Sequence[str]) -> dict[str, int]:

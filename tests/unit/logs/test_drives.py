@@ -55,6 +55,20 @@ def test_degrees_of_all_angles(tmp_path: Path, logged: Columns) -> None:
     np.testing.assert_allclose(found.link_position - found.q, np.pi / 180.0, atol=1e-12)
 
 
+def test_percent_of_the_limits(tmp_path: Path, logged: Columns) -> None:
+    """-100 and 100 are the ends, which need not lie around zero."""
+    low, high = -1.5, 2.5
+    for name in NAMES:
+        q = logged[f"{name}.position"]
+        logged[f"{name}.position"] = 200.0 * (q - low) / (high - low) - 100.0
+        logged[f"{name}.velocity"] = np.full_like(q, 50.0)
+    joints = tuple(replace(one, position_limits=(low, high)) for one in ROBOT.joints)
+    robot = replace(ROBOT, joints=joints, channels=Channels(unit="percent"), imus=())
+    found = read(tmp_path, logged, robot)
+    np.testing.assert_allclose(found.q, TRUTH.q, atol=1e-12)
+    np.testing.assert_allclose(found.dq, 1.0)
+
+
 def test_gravity_that_a_driver_subtracts_is_added_again(
     tmp_path: Path, logged: Columns
 ) -> None:

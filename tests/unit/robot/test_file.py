@@ -97,8 +97,8 @@ OF_THE_JOINT = {  # what follows the keys of the first joint
     '[channels]\nposition = "q_{joint}"': "unknown placeholder {joint}",
     '[channels]\nposition = "q_{index:9999999}"': "placeholder {index}",
     '[channels]\nposition = "q_{index"': "channels.position",
-    '[channels]\neffort = "current"': (
-        r"effort .*\.torque_constant \(joint 'one'\) is missing"
+    '[channels]\nunit = "percent"': (
+        r"percent.*\[0\].position_limits \(joint 'one'\) is missing"
     ),
     "gear_ratio = 1e300": r"gear_ratio .* is 1e\+300, which no arm has",
     "torque_constant = 5e-324": r"torque_constant .* 1e-12 or more",
@@ -111,9 +111,13 @@ NO_GRAVITY = '[channels]\neffort = "gravity_compensated"\n'
 PRISMATIC = 'urdf = "arm.urdf"\n[[joint]]\nname = "elbow"\nprismatic = true\n'
 WRONG_IMU = IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n"
 NO_AXIS = IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0")
-BY_INDEX = "torque_constant = 1.0\n" + TWO + '[channels]\ncurrent = "i_{index}"\n'
+BY_INDEX = (
+    "torque_constant = 1.0\nwinding_resistance = 1.0\n"
+    + TWO
+    + '[channels]\nvoltage = "u_{index}"\n'
+)
 NO_CONSTANT = (
-    r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing"
+    r"channels.voltage .* joint\[1\].torque_constant \(joint 'two'\) is missing"
 )
 OF_THE_FILE = {  # what follows the head of the file
     **{line: (f"{ONE}{line}\n", said) for line, said in OF_THE_JOINT.items()},
@@ -147,7 +151,7 @@ OF_THE_FILE = {  # what follows the head of the file
         BOTH + '[channels]\nposition = "q"\n',
         "channels.position 'q' is the same",
     ),
-    "current": (ONE + BY_INDEX, NO_CONSTANT),
+    "voltage": (ONE + BY_INDEX, NO_CONSTANT),
     "topic": (BOTH + '[channels]\ntopic = " "\n', "channels.topic is ' '"),
     "two kinds of names": (
         BOTH + '[channels]\nprefix = "a_"\nnames = "a_{name}"\n',
@@ -164,10 +168,6 @@ OF_THE_FILE = {  # what follows the head of the file
     "two efforts": (
         BOTH + '[channels]\ninterface = { torque = "a", current = "b" }\n',
         "channels.interface names both",
-    ),
-    "current of an interface": (
-        BOTH + '[channels]\ninterface = { current = "b" }\n',
-        r"channels.interface.current .*\.torque_constant \(joint 'one'\) is missing",
     ),
     "unit of time": (
         BOTH + '[channels]\ntime_unit = "h"\n',

@@ -165,6 +165,16 @@ def test_rtde_with_its_own_accelerometer(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.accelerometers["tool"][7], [0.1, -0.2, 9.8])
 
 
+def test_rtde_with_current_as_torque(tmp_path: Path) -> None:
+    """The controller's own torque needs no data of the drives."""
+    header = ["timestamp", *(f"actual_q_{i}" for i in range(3))]
+    header += [f"actual_current_{i}" for i in range(3)]
+    header += [f"actual_current_as_torque_{i}" for i in range(3)]
+    table = np.column_stack([TABLE, MOTION.dq, MOTION.tau])
+    recording = read(tmp_path, text(lines(table=table), ",".join(header)))
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+
+
 def test_libfranka_names_with_time_in_seconds_are_noticed(tmp_path: Path) -> None:
     header = ",".join(["time", *(f"state.q[{i}]" for i in range(3))])
     recording = read(tmp_path, text(ROWS, header))

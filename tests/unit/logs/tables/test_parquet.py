@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.contents import contents_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.differentiation import runs
@@ -346,3 +347,50 @@ def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
     rows["name"] = [names] * 100 + [names[::-1]] * 100
     with pytest.raises(InputError, match="change from row to row"):
         read(tmp_path, rows)
+
+
+MIXED = [f"{name}.{kind}" for name in MOTORS for kind in ("pos", "vel", "torque")]
+
+
+def mixed_states() -> dict[str, np.ndarray]:
+    """What a robot with torque feedback lists, by the names of its motors."""
+    rng = np.random.default_rng(4)
+    values = curve(MOTION.t, len(MIXED)) + rng.normal(size=len(MIXED))
+    return dict(zip(MIXED, values.astype(np.float32).T, strict=True))
+
+
+def read_mixed(folder: Path, names: list[str], channels: Channels) -> Recording:
+    info = folder / "meta" / "info.json"
+    info.parent.mkdir(parents=True)
+    info.write_text(json.dumps({"features": {"observation.state": {"names": names}}}))
+    states = np.column_stack(list(mixed_states().values()))
+    table = {"observation.state": list(states), "action": list(states)}
+    (folder / "data").mkdir(parents=True)
+    path = folder / "data" / "log.parquet"
+    pq.write_table(pa.table(table | {"timestamp": MOTION.t}), path)
+    return read_recording(path, make_robot(channels=channels))
+
+
+def test_a_lerobot_state_of_several_kinds(tmp_path: Path) -> None:
+    recording = read_mixed(tmp_path, MIXED, Channels(unit="deg"))
+    states = mixed_states()
+    for j, joint in enumerate(JOINTS):
+        np.testing.assert_allclose(
+            recording.q[:, j], np.deg2rad(states[f"{joint}.pos"]), atol=1e-9
+        )
+        np.testing.assert_allclose(
+            recording.dq[:, j], np.deg2rad(states[f"{joint}.vel"]), atol=1e-9
+        )
+        np.testing.assert_array_equal(recording.tau[:, j], states[f"{joint}.torque"])
+    contents = contents_of(tmp_path / "data" / "log.parquet")
+    assert contents.joints == tuple(MOTORS)
+
+
+def test_joints_of_a_mixed_state_are_never_taken_by_their_order(tmp_path: Path) -> None:
+    """The second entry of the state is no second joint."""
+    names = [name.replace("elbow", "elbow_flex") for name in MIXED]
+    with pytest.raises(InputError, match="no joint elbow; names in the log: wrist,"):
+        read_mixed(tmp_path / "as it is", names, Channels())
+    channels = Channels(names=("shoulder", "elbow_flex", "wrist"))
+    recording = read_mixed(tmp_path / "named", names, channels)
+    np.testing.assert_allclose(recording.q[:, 1], mixed_states()["elbow.pos"])

@@ -41,6 +41,9 @@ LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
 LARGEST_TOLERANCE = 0.5  # rad, m: more is no tolerance but another arm
 # memory grows with the third power, the time of some checks with the fourth
 MOST_JOINTS = 16
+# Tables that a robot file may have, and accelerometers of one IMU: more than any arm.
+_MOST = {"imu": 64, "effect": 256}
+_MOST_ACCELEROMETERS = 64
 
 # What each number of a joint is.
 _MEANINGS = {
@@ -99,6 +102,19 @@ def problems(robot: RobotFile) -> Iterator[Problem]:
             "Add one [[joint]] table per actuated joint of one serial arm, up to"
             f" {MOST_JOINTS}.",
         )
+    for table, most in _MOST.items():
+        count = len(getattr(robot, table))
+        if count > most:
+            yield Problem(
+                f"the robot has {count} [[{table}]] tables", f"Up to {most} are read."
+            )
+    for k, imu in enumerate(robot.imu):
+        count = len(imu.accelerometers)
+        if count > _MOST_ACCELEROMETERS:
+            yield Problem(
+                f"imu[{k}].accelerometers has {count} entries",
+                f"Up to {_MOST_ACCELEROMETERS} are read.",
+            )
     yield from _numbers("gravity", "", robot.gravity)
     yield from _tolerances(robot)
     for table in ("joint", "imu", "effect"):

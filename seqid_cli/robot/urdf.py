@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -16,7 +17,11 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.robot.checks import LARGEST, LEAST_AXIS, Problem, nearest
 from seqid_cli.robot.toml import URDF_LIMIT, read_limited
 from seqid_cli.robot.toml_schema import JointEntry
+from seqid_cli.robot.xml import TooLargeError, parsed_xml
 
+# Beyond so many links Pinocchio's recursion may end the process; humanoids with hands
+# have some 150.
+MOST_LINKS = 1000
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 
 
@@ -120,7 +125,10 @@ def parse_urdf(raw: bytes, path: Path) -> UrdfText:
     """
     root = _parsed(raw, path)
     joints = [_joint(element) for element in root.findall("joint")]
-    for message, hint in (*_wrong_numbers(root), *_faults_of_the_tree(root, joints)):
+    problems = chain(
+        _too_many(root), _wrong_numbers(root), _faults_of_the_tree(root, joints)
+    )
+    for message, hint in problems:
         raise ConfigError(message, where=str(path), hint=hint)
     return UrdfText(path, raw, root, {joint.name: joint for joint in joints})
 
@@ -131,7 +139,10 @@ def _parsed(raw: bytes, path: Path) -> ElementTree.Element:
     message = ""
     hint = ""
     try:
-        root = ElementTree.fromstring(raw)
+        root = parsed_xml(raw)
+    except TooLargeError as fault:
+        message = str(fault)
+        hint = "No robot is so large: check what wrote the file."
     except (ElementTree.ParseError, ValueError, LookupError) as fault:
         message = f"not well-formed XML: {fault}"
 
@@ -197,6 +208,17 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
         velocity=max(limits.get("velocity", 0.0), 0.0) or None,
         effort=max(limits.get("effort", 0.0), 0.0) or None,
     )
+
+
+def _too_many(root: ElementTree.Element) -> Iterator[Problem]:
+    """Yield that there are more joints or links than a robot has."""
+    for kind in ("joint", "link"):
+        count = len(root.findall(kind))
+        if count > MOST_LINKS:
+            yield Problem(
+                f"it has {count} {kind}s, more than {MOST_LINKS}",
+                "Cut it to the arm and what it carries.",
+            )
 
 
 def _wrong_numbers(root: ElementTree.Element) -> Iterator[Problem]:

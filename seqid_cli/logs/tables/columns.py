@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Mask, Rows, Stamps
+from seqid_cli.logs.tables.parquet_footer import FooterError, values_by_column
 
 ARROW_ERRORS = (
     pa.ArrowException,
@@ -294,18 +295,21 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     """
     file = pq.ParquetFile(readable(path), **options)
     metadata = file.metadata
-    list_columns = [
-        k
-        for k in range(metadata.num_columns)
-        if file.schema.column(k).max_repetition_level
-    ]
+    columns = [file.schema.column(k) for k in range(metadata.num_columns)]
+    list_columns = [column.path for column in columns if column.max_repetition_level]
 
     # A plain column has a value for each row; those of lists are counted.
     n_values = metadata.num_rows * (metadata.num_columns - len(list_columns))
     if list_columns:
-        for number in range(metadata.num_row_groups):
-            group = metadata.row_group(number)
-            n_values += sum(group.column(k).num_values for k in list_columns)
+        try:
+            counts = values_by_column(path)
+        except FooterError as error:
+            raise InputError(
+                f"its footer is damaged: {error}",
+                hint="Copy it again, or leave it out.",
+                where=str(path),
+            ) from error
+        n_values += sum(counts.get(name, 0) for name in list_columns)
 
     size = path.stat().st_size
     unpacked = 8 * n_values

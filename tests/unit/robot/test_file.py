@@ -107,6 +107,9 @@ OFFERED = {"gear_ration = 2.0": "'gear_ratio'", "imu joint": "'two'"}  # in the 
 OFFERED["no model"] = "urdf with <inertial>"
 BOTH = ONE + TWO
 MANY = "".join(ONE.replace('"one"', f'"j{k}"') for k in range(200))
+MANY_IMUS = "".join(IMU.replace("imu_a", f"i{k}") + SENSOR for k in range(65))
+ONE_SENSOR = "{ position = [0.0, 0.0, 0.1], axis = [0.0, 3.0, 4.0] }, "
+MANY_SENSORS = f"{IMU}accelerometers = [ {65 * ONE_SENSOR}]\n"
 NO_GRAVITY = '[channels]\neffort = "gravity_compensated"\n'
 PRISMATIC = 'urdf = "arm.urdf"\n[[joint]]\nname = "elbow"\nprismatic = true\n'
 WRONG_IMU = IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n"
@@ -126,6 +129,8 @@ OF_THE_FILE = {  # what follows the head of the file
     "missing name": ("[[joint]]\n" + DH, r"key 'joint\[0\].name' is missing"),
     "no joint": ("joint = []\n", r"no \[\[joint\]\]"),
     "joint of numbers": ("joint = [3]\n", r"joint\[0\]: expected"),
+    "imus": (BOTH + MANY_IMUS, r"the robot has 65 \[\[imu\]\] tables"),
+    "sensors": (BOTH + MANY_SENSORS, r"imu\[0\].accelerometers has 65 entries"),
     "joints": (MANY, r"the robot has 200 \[\[joint\]\] tables"),
     "duplicate": (
         ONE + ONE,

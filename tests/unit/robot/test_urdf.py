@@ -159,3 +159,33 @@ def test_what_the_parser_of_the_library_prints_is_not_heard(
         save_robot(tmp_path, text, ("turn",))
     assert caught.value.where == str(tmp_path / "arm.urdf")
     assert not capfd.readouterr().err
+
+
+ATTRIBUTES = " ".join(f'a{k}="1"' for k in range(101))
+
+
+def _chain_of(count: int) -> str:
+    links = [link(f"l{k}") for k in range(count + 1)]
+    joints = [joint(f"j{k}", f"l{k}", f"l{k + 1}") for k in range(count)]
+    return urdf(*links, *joints)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>", "100 deep"),
+        ("<robot>" + "<a/>" * 200_001 + "</robot>", "more than 200000 elements"),
+        (
+            f"<robot {ATTRIBUTES}/>",
+            "<robot> has 101 attributes, more than 100",
+        ),
+        (_chain_of(1001), "it has 1001 joints, more than 1000"),
+    ],
+    ids=["deep", "wide", "attributes", "chain"],
+)
+def test_what_would_end_a_parser_is_refused_before_it(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message) as raised:
+        save_robot(tmp_path, text, ("j0",))
+    assert raised.value.where.endswith(".urdf")

@@ -1,0 +1,118 @@
+"""Values of a Parquet file by its footer: as Arrow counts them, and never a crash."""
+
+import io
+import struct
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.tables import columns
+from seqid_cli.logs.tables.parquet_footer import FooterError, values_by_column
+
+TABLE = pa.table(
+    {
+        "t": np.arange(1000.0),
+        "name": [["a", "b"]] * 1000,
+        "state": [[1.0, 2.0, 3.0], None] * 500,
+        "deep": [{"values": [[1.0], [2.0, 3.0]]}] * 1000,
+        "flag": [True, False] * 500,
+    }
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "log.parquet"
+    pq.write_table(TABLE, path, row_group_size=300)
+    return path
+
+
+def footer_of(raw: bytes) -> int:
+    """Return where the footer begins."""
+    (length,) = struct.unpack("<I", raw[-8:-4])
+    return len(raw) - 8 - int(length)
+
+
+def test_columns_are_counted_as_arrow_counts_them(path: Path) -> None:
+    metadata = pq.ParquetFile(path).metadata
+    counts: dict[str, int] = {}
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for k in range(group.num_columns):
+            column = group.column(k)
+            name = column.path_in_schema
+            counts[name] = counts.get(name, 0) + column.num_values
+    assert metadata.num_row_groups == 4
+    assert values_by_column(path) == counts
+
+
+def test_damaged_footers_are_refused_or_read(path: Path) -> None:
+    """Two bytes of each are others: a count or a refusal comes back, in time."""
+    raw = path.read_bytes()
+    start, rng = footer_of(raw), np.random.default_rng(0)
+    refused = 0
+    for _ in range(400):
+        damaged = bytearray(raw)
+        for at in rng.integers(start, len(raw) - 4, 2):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            counts = values_by_column(path)
+        except FooterError:
+            refused += 1
+        else:
+            assert min(counts.values(), default=0) >= 0
+    assert 40 < refused < 400
+
+
+@pytest.mark.parametrize(
+    ("footer", "message"),
+    [
+        (b"\x1c" * 100, "too deep"),
+        (b"\x19\xfc\xff\xff\xff\xff\x0f", "longer than the footer"),
+        (b"\x16" + b"\xff" * 12, "too many bytes"),
+        (b"\x1e\x00", "unknown kind"),
+        (b"\x18\x05ab", "ends within"),
+        (b"\x16\x02\x00", "a field is missing"),
+    ],
+)
+def test_what_is_wrong_with_a_footer_is_said(
+    tmp_path: Path, footer: bytes, message: str
+) -> None:
+    path = tmp_path / "log.parquet"
+    tail = struct.pack("<I", len(footer)) + b"PAR1"
+    path.write_bytes(b"PAR1" + footer + tail)
+    with pytest.raises(FooterError, match=message):
+        values_by_column(path)
+    for content in (b"PAR1", b"PAR1" + footer + struct.pack("<I", 1 << 30) + b"PAR1"):
+        path.write_bytes(content)
+        with pytest.raises(FooterError, match=r"too short|does not end"):
+            values_by_column(path)
+
+
+def test_arrow_makes_no_object_for_a_column_before_its_footer_is_read(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some footers end the process where it does; their refusal names the file."""
+
+    def refused(_: Path) -> dict[str, int]:
+        raise FooterError("a value is of the unknown kind 0")
+
+    monkeypatch.setattr(columns, "values_by_column", refused)
+    with pytest.raises(InputError, match="its footer is damaged: a value") as raised:
+        columns.opened_table(path)
+    assert raised.value.where == str(path)
+
+
+def test_few_bytes_that_stand_for_many_values_are_refused(tmp_path: Path) -> None:
+    sink = io.BytesIO()
+    lists = pa.array([[0.0] * 60_000] * 3000, type=pa.list_(pa.float64()))
+    pq.write_table(pa.table({"state": lists}), sink, compression="zstd")
+    path = tmp_path / "log.parquet"
+    path.write_bytes(sink.getvalue())
+    with pytest.raises(InputError, match="times as many"):
+        columns.opened_table(path)

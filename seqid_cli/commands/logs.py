@@ -14,6 +14,7 @@ from seqid_cli.commands.command_run import (
     CommandRun,
     quoted,
 )
+from seqid_cli.commands.found_urdf import FoundUrdf, found_urdf
 from seqid_cli.commands.options import (
     SIX,
     DebugOption,
@@ -155,7 +156,10 @@ def init(
         typer.Option(
             "--urdf",
             metavar="FILE",
-            help="URDF of the robot; without it a DH stub is made.",
+            help=(
+                "URDF of the robot; without it the one on /robot_description of a"
+                " bag is written beside the robot file, or else a DH stub is made."
+            ),
         ),
     ] = None,
     output: Annotated[
@@ -239,6 +243,15 @@ IMUs as far as known.
     from seqid_cli.inspect.propose import propose
     from seqid_cli.robot.template import robot_toml
 
+    found = None
+    if urdf_text is None:
+        target = output.with_suffix(".urdf") if output is not None else None
+        found = found_urdf(screen, files, target)
+    if found is not None:
+        urdf = found.urdf.path
+        urdf_text = found.urdf
+        _check_urdf_target(found, force=force)
+
     urdf_name = urdf_text.root.get("name") if urdf_text else None
     proposal = propose(
         files,
@@ -249,6 +262,9 @@ IMUs as far as known.
         name=name or urdf_name or "robot",
     )
     content = robot_toml(proposal.template)
+    if found is not None:
+        write_text_atomic(found.urdf.path, found.urdf.raw.decode(), inputs=files)
+        screen.note(f"written: {found.urdf.path}, of {found.topic} in {found.log}")
     if output is not None:
         content = _write_robot_file(screen, content, output, files)
     _show_proposal(screen, proposal, content, output)
@@ -256,6 +272,19 @@ IMUs as far as known.
         screen.note(f"written: {output}")
         screen.note(f"next: seqid inspect {quoted(logs[0])} -r {quoted(output)}")
     return EXIT_DONE
+
+
+def _check_urdf_target(found: FoundUrdf, *, force: bool) -> None:
+    """Raise UsageError where another URDF stands where that of a log would go."""
+    path = found.urdf.path
+    if force or not path.exists():
+        return
+    if not path.is_file() or path.read_bytes() != found.urdf.raw:
+        raise UsageError(
+            f"exists already, and is not the URDF on {found.topic} of {found.log}",
+            where=str(path),
+            hint="Give this one with --urdf, or overwrite it with --force.",
+        )
 
 
 def _write_robot_file(

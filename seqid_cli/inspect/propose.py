@@ -147,13 +147,18 @@ def _codes_by(template: RobotTemplate, urdf: UrdfText, log: Path) -> set[str]:
             for key, value in template.channels.items()
             if key not in _OF_SERVOS
         }
-        trial = replace(template, urdf=str(urdf.path.resolve()), channels=channels)
+        geometry = path.with_name("robot.urdf")  # the URDF may be of a log itself
+        geometry.write_bytes(urdf.raw)
+        trial = replace(template, urdf=geometry.name, channels=channels)
         path.write_text(robot_toml(trial), encoding="utf-8")
         try:
             robot = load_robot(path)
         except ConfigError as error:
-            if error.where == str(path):  # which is gone when the message is read
+            # The folder is gone when the message is read.
+            if error.where == str(path):
                 error.where = "the proposed robot file"
+            elif error.where == str(geometry):
+                error.where = str(urdf.path)
             raise
         report = inspect_log(log, robot)
     for finding in report.findings:

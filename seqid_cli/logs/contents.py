@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from seqid_cli.logs.log_file import LogFile
-from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.mcap import descriptions, reader, rosbags
+from seqid_cli.logs.mcap.records import Scan
+from seqid_cli.logs.mcap.rosbags import BagScan
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
@@ -59,6 +61,17 @@ def contents_of(path: Path) -> LogContents:
         joints=contents.joints,
         state_topics=contents.state_topics,
     )
+
+
+def robot_descriptions(path: Path) -> dict[str, str]:
+    """Return the URDFs that a log holds, by their topics; empty for a table.
+
+    Raises InputError if it cannot be read at all.
+    """
+    log = LogFile.at(path)
+    if log.format in ("parquet", "csv"):
+        return {}
+    return descriptions.read(log.file, Scan if log.format == "mcap" else BagScan)
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:

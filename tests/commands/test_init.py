@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -488,3 +489,69 @@ def test_nothing_is_written_that_cannot_read_the_log(start: Start) -> None:
     pq.write_table(table, start.rig.folder / "twice.parquet")
     assert "is there 2 times" in start.init("twice.parquet", *WORDS, code=2)
     assert not start.file.exists()
+
+
+def described(
+    folder: Path, descriptions: Mapping[str, str], topic: str = "/joint_states"
+) -> None:
+    """Write the sample log as a bag with descriptions of robots in front."""
+    columns = read_columns(LOG)
+    q, tau = (
+        np.column_stack([columns[f"{joint}.{quantity}"] for joint in SIX])
+        for quantity in ("position", "current")
+    )
+    stamps = 1_700_000_000_000_000_000 + np.rint(columns["t"] * 1e9).astype(np.int64)
+    messages = [
+        (name, int(stamps[0]), SimpleNamespace(data=text))
+        for name, text in descriptions.items()
+    ]
+    messages += joint_messages(stamps, SIX, q, effort=tau, topic=topic)
+    write_messages(folder / "log.mcap", messages, encoding="cdr")
+
+
+def test_the_urdf_of_a_bag_is_taken_and_written(start: Start) -> None:
+    (start.rig.folder / "arm.urdf").unlink()
+    other = urdf(joint("a", "b", "c"), link("b"), link("c"))
+    described(
+        start.rig.folder,
+        {"/robot_description": other, "/left/robot_description": URDF.read_text()},
+        topic="/left/joint_states",
+    )
+    said = start.init("log.mcap", "-o", "new.toml")
+    assert "written: new.urdf, of /left/robot_description in log.mcap" in said
+    assert (start.rig.folder / "new.urdf").read_text() == URDF.read_text()
+    assert start.document["urdf"] == "new.urdf"
+    assert load_robot(start.file).joint_names == SIX
+
+
+def test_another_urdf_is_kept_unless_forced(start: Start) -> None:
+    described(start.rig.folder, {"/robot_description": URDF.read_text()})
+    (start.rig.folder / "new.urdf").write_text("<robot name='mine'/>")
+    words = ("log.mcap", "-o", "new.toml")
+    assert "--urdf" in start.init(*words, code=2)
+    assert not start.file.exists()
+    start.init(*words, "--force")
+    assert (start.rig.folder / "new.urdf").read_text() == URDF.read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("<robot>" + "<link name='a'/>" * 2 + "</robot>", "is left out"),
+        ('<!DOCTYPE x [<!ENTITY a "b">]><robot name="x"/>', "XML entities"),
+        ("no robot", ""),
+    ],
+)
+def test_a_description_that_is_no_urdf_is_left_out(
+    start: Start, text: str, why: str
+) -> None:
+    described(start.rig.folder, {"/robot_description": text})
+    said = start.init("log.mcap", "-o", "new.toml")
+    assert why in said
+    assert "to do: the geometry" in said
+    assert not (start.rig.folder / "new.urdf").exists()
+
+
+def test_without_a_place_the_urdf_of_a_bag_is_told(start: Start) -> None:
+    described(start.rig.folder, {"/robot_description": URDF.read_text()})
+    assert "has a URDF on /robot_description: -o FILE" in start.init("log.mcap")

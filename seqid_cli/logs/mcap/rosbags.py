@@ -26,6 +26,7 @@ from seqid_cli.logs.messages.batch import Payloads
 _KEPT_TYPES = (
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/Imu",
+    "std_msgs/msg/String",  # the robot's description
     "control_msgs/msg/DynamicJointState",
 )
 _ROSBAG1 = b"#ROSBAG V2.0"
@@ -215,7 +216,7 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
         links = [
             link
             for link in bag.connections
-            if link.msgtype in _KEPT_TYPES[:2] and wanted(link.topic)
+            if link.msgtype in _KEPT_TYPES[:3] and wanted(link.topic)
         ]
 
         def messages() -> Iterator[_Message]:

@@ -1,4 +1,7 @@
-"""ROS 2 messages in CDR, a batch at a time: JointState, DynamicJointState and Imu.
+"""ROS messages, a batch at a time: JointState, DynamicJointState and Imu.
+
+ROS 2 writes them in CDR. ROS 1 packs the same fields without padding, and has a number
+of its own where CDR says how it is encoded.
 
 Consecutive messages of a topic differ in their stamp and numbers only. One of them is
 parsed field by field, with every bound checked, into a `Layout`: which bytes carry
@@ -35,22 +38,27 @@ _SEC = 1_000_000_000
 _ENCAPSULATION = 4
 _STAMP_END = 12
 # Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1, 2.
+_ROS1 = ("<", 1)  # nothing is aligned; the header's sequence number stands in front
 _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
 class _Cursor:
-    """Reads CDR behind the stamp of a header; every read checks the bounds."""
+    """Reads a message behind the stamp of its header; every read checks the bounds."""
 
-    def __init__(self, data: bytes) -> None:
-        if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:
-            raise ValueError("no plain CDR")
+    def __init__(self, data: bytes, *, ros1: bool) -> None:
+        if len(data) < _STAMP_END:
+            raise ValueError("the message breaks off")
         self.data = data
-        self.order, self._largest = _REPRESENTATIONS[data[1]]
         self.at = _STAMP_END
         # 0xFF where a message of the same layout must have the same bytes.
-        self.mask = bytearray(
-            b"\xff" * _ENCAPSULATION + bytes(len(data) - _ENCAPSULATION)
-        )
+        self.mask = bytearray(len(data))
+        if ros1:
+            self.order, self._largest = _ROS1
+            return
+        if data[0] or data[1] not in _REPRESENTATIONS:
+            raise ValueError("no plain CDR")
+        self.order, self._largest = _REPRESENTATIONS[data[1]]
+        self.mask[:_ENCAPSULATION] = b"\xff" * _ENCAPSULATION
 
     def message(self, kind: Kind) -> dict[str, object]:
         """Read a message: places instead of its numbers."""
@@ -133,9 +141,11 @@ class Layout:
     runs: tuple[_Run, ...]
 
     @classmethod
-    def of(cls, data: bytes, kind: Kind, names: NameMap) -> "Layout":
+    def of(
+        cls, data: bytes, kind: Kind, names: NameMap, *, ros1: bool = False
+    ) -> "Layout":
         """Parse a message. Raises ValueError: it is damaged."""
-        cursor = _Cursor(data)
+        cursor = _Cursor(data, ros1=ros1)
         row = row_of(kind, cursor.message(kind), names)
         pad = bytes(-len(data) % WORD)
         mask = np.frombuffer(pad + cursor.mask, np.uint64)
@@ -207,6 +217,7 @@ class LayoutDecoder:
 
     kind: Kind
     names: NameMap
+    ros1: bool = False  # whether the messages are packed as ROS 1 does it
     rounds: int = 32
     most: int = 512
     _layouts: dict[int, list[Layout]] = field(default_factory=dict)  # by length
@@ -248,7 +259,7 @@ class LayoutDecoder:
             rows = rows[1:]
             with suppress(ValueError):  # it is damaged
                 data = next(iter(payloads.take(first)))
-                layout = Layout.of(data, self.kind, self.names)
+                layout = Layout.of(data, self.kind, self.names, ros1=self.ros1)
                 without_fitting(layout, first)
                 if len(layouts) < self.rounds:
                     rows = without_fitting(layout, rows)

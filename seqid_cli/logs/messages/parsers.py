@@ -124,7 +124,7 @@ def decoder(
     Parameters
     ----------
     encoding : str
-        The channel's encoding: cdr, json or protobuf.
+        The channel's encoding: cdr, ros1, json or protobuf.
     schema : Schema or None
         The definition of its messages in the file.
     kind : {"joint_state", "dynamic_joint_state", "imu"}
@@ -134,8 +134,8 @@ def decoder(
     """
     if schema is not None and len(schema.data) > LONGEST:
         return None
-    if encoding == "cdr" and is_usual(schema, kind):
-        return LayoutDecoder(kind, names)
+    if encoding in ("cdr", "ros1") and is_usual(schema, kind):
+        return LayoutDecoder(kind, names, ros1=encoding == "ros1")
     if encoding == "json":
         return field_decoder(kind, names, parse_json)
     if schema is not None and encoding in ("cdr", "protobuf"):
@@ -174,7 +174,8 @@ def schema_parser(encoding: str, schema: Schema) -> Parse | None:
 
 def is_usual(schema: Schema | None, kind: Kind) -> bool:
     """Tell whether the definition is the one of sensor_msgs, or none is given."""
-    if schema is None or schema.encoding != "ros2msg" or not schema.data.strip():
+    is_defined = schema is not None and schema.encoding in ("ros1msg", "ros2msg")
+    if schema is None or not is_defined or not schema.data.strip():
         return True
     text, *types = schema.data.decode("utf-8", "replace").split("=" * 80)
     if kind == "dynamic_joint_state":

@@ -276,6 +276,34 @@ def write_bag(
     return path
 
 
+def mcap_ros1(path: Path, data: Data) -> Path:
+    """A ROS 1 bag that was converted to MCAP: its messages stay as they are."""
+    return write_ros1(path.with_suffix(".mcap"), joint_states(data, dq=data.dq))
+
+
+def write_ros1(
+    path: Path, messages: Sequence[Message], *, defined: bool = True
+) -> Path:
+    """Write MCAP of ROS 1 messages, with or without their definitions."""
+    noetic = get_typestore(Stores.ROS1_NOETIC)
+    channels: dict[str, writers.Channel] = {}
+    for topic, (_, kind, _, _) in writers.encoded(messages, "cdr")[0].items():
+        text, _ = noetic.generate_msgdef(kind, ros_version=1)
+        content = text.encode() if defined else b""
+        channels[topic] = ("ros1", kind.replace("/msg/", "/"), "ros1msg", content)
+    return write_raw(path, channels, ros1_rows(messages))
+
+
+def ros1_rows(messages: Sequence[Message]) -> list[tuple[str, int, bytes]]:
+    """Pack messages as ROS 1 does: topic, time of logging, content."""
+    topics, rows = writers.encoded(messages, "cdr")
+    humble = get_typestore(Stores.ROS2_HUMBLE)
+    return [
+        (topic, at, bytes(humble.cdr_to_ros1(data, topics[topic][1])))
+        for topic, at, data in rows
+    ]
+
+
 def rosbag2_sqlite(path: Path, data: Data) -> Path:
     return write_bag(path, reversed_states(data))
 
@@ -305,6 +333,7 @@ EXACT: dict[str, Write] = {
     "csv rtde": csv_rtde,
     "csv libfranka": csv_franka,
     "mcap cdr": mcap_cdr,
+    "mcap ros1": mcap_ros1,
     "mcap DynamicJointState": mcap_dynamic,
     "mcap foxglove protobuf": mcap_foxglove_protobuf,
     "mcap foxglove json": mcap_foxglove_json,

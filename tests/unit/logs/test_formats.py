@@ -154,7 +154,9 @@ def test_joints_that_are_read_undeclared_are_guessed(pattern: str) -> None:
     """What `inspect -r` reads by its names alone, `init` does not refuse."""
     joints = ("left_joint_1", "servo_pan")
     columns = ("time", *(pattern.replace("{name}", name) for name in joints))
-    guessed = guess(LogContents("csv", columns, (), columns))
+    guessed = guess(
+        LogContents(format="csv", channels=columns, joints=(), columns=columns)
+    )
     assert guessed.joints == joints
     match = find_scheme(guessed.joints, columns)
     assert match is not None

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement.across_logs import FEWEST_LOGS
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
@@ -57,6 +58,12 @@ class Promise:
     whole_logs_gain: float | None
     held_out_gain: float | None
     confirmed: bool
+    n_logs: int  # that show its joints, of those to fit
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether enough logs speak for it, each fitted by the others."""
+        return self.n_logs >= FEWEST_LOGS
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,8 @@ RECORDED = (
         ("identification__ur-20_02_0*.parquet", "*10-20sec_7harm.parquet"),
         ("identification__ur-20_02_19_14harm50sec.parquet",),
     ),
+    Case("Staubli TX40", "tx40", "staubli_tx40", ("train.parquet",), ("hold*",)),
+    Case("Rokae xMate", "xmate", "rokae_xmate", ("train.parquet",), ("hold*",)),
 )
 
 
@@ -175,6 +184,7 @@ def _promise(entry: RefinementRound) -> Promise:
         whole_logs_gain=entry.whole_logs_gain,
         held_out_gain=entry.held_out_gain,
         confirmed=bool(entry.confirmed),
+        n_logs=max(len(entry.gain_by_log), 1),
     )
 
 
@@ -205,6 +215,8 @@ def rendered(found: Sequence[Result]) -> str:
     for group in dict.fromkeys(result.group for result in found):
         of_group = [result for result in found if result.group == group]
         rows.append([group, *_counts(of_group)])
+    for name, is_proven in (("shown by three logs or more", True), ("fewer", False)):
+        rows.append([name, *_counts(found, is_proven=is_proven)])
     rows.append(["all", *_counts(found)])
     header = [
         "logs",
@@ -219,6 +231,7 @@ def rendered(found: Sequence[Result]) -> str:
             result.key,
             promise.effect,
             promise.joint or "-",
+            str(promise.n_logs),
             _percent(promise.training_gain),
             _percent(promise.whole_logs_gain),
             _percent(promise.held_out_gain),
@@ -233,6 +246,7 @@ def rendered(found: Sequence[Result]) -> str:
             "not confirmed, of",
             "effect",
             "joint",
+            "logs",
             "left-out blocks",
             "left-out logs",
             "held-out logs",
@@ -241,12 +255,21 @@ def rendered(found: Sequence[Result]) -> str:
     return "\n\n".join(parts)
 
 
-def _counts(found: Sequence[Result]) -> list[str]:
-    promises = [promise for result in found for promise in result.promises]
+def _counts(found: Sequence[Result], *, is_proven: bool | None = None) -> list[str]:
+    """Return refinements and promises, of all or of those that logs prove or not."""
+    promises = [
+        promise
+        for result in found
+        for promise in result.promises
+        if is_proven in (None, promise.is_proven)
+    ]
     kept = sum(promise.confirmed for promise in promises)
     share = _percent(kept / len(promises)) if promises else "-"
+    counts = [str(len(promises)), str(kept), share]
+    if is_proven is not None:
+        return ["", *counts, ""]
     disproved = sum(len(result.disproved) for result in found)
-    return [str(len(found)), str(len(promises)), str(kept), share, str(disproved)]
+    return [str(len(found)), *counts, str(disproved)]
 
 
 def _percent(share: float | None) -> str:

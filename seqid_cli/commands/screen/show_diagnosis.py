@@ -349,10 +349,11 @@ def _explain_joint(
 
 
 def _joints_of_round(entry: RefinementRound) -> Collection[str | None]:
-    """Return the joints at which an effect was tried, or its evidence shows it."""
+    """Return the joints at which an effect was tried, acts, or shows in evidence."""
+    joints = {entry.joint, *entry.acts_on}
     if entry.evidence is None:
-        return {entry.joint}
-    return {entry.joint, entry.evidence.joint, entry.evidence.of}
+        return joints
+    return {*joints, entry.evidence.joint, entry.evidence.of}
 
 
 def stopped_sentence(stopped: StoppedAt) -> str:

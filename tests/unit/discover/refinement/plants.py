@@ -27,7 +27,7 @@ class Logs:
     @cached_property
     def robot(self) -> Robot:
         """The robot file, which does not say the effects."""
-        return robot_of(RIG, declared_plant(self.case))
+        return robot_of(self.case.rig, declared_plant(self.case))
 
     @cached_property
     def training(self) -> list[Recording]:

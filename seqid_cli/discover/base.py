@@ -36,7 +36,7 @@ from seqid_cli.typing import Array
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
 # of a surface's largest standard error, by which entries that are tied may part
 TIED = 1e-3
-# of a joint's largest bound, at least: friction that no row shows is not free
+# of a joint's largest bound, at least: friction that no sample shows is not free
 UNSHOWN = 1e-3
 
 
@@ -52,6 +52,8 @@ class Base:
         Columns of the rigid parameters, which all joints share.
     friction : tuple of (M_j, k_j) arrays
         Columns of each joint's friction.
+    friction_rms : tuple of (k_j,) arrays
+        RMS of each of these columns over all samples at which it has any torque.
     nuisances : tuple of NuisanceRows
         Columns of the nuisance terms.
     y : tuple of (M_j,) arrays
@@ -68,6 +70,7 @@ class Base:
     basis: Basis
     rigid: tuple[Array, ...]
     friction: tuple[Array, ...]
+    friction_rms: tuple[Array, ...]
     nuisances: tuple[NuisanceRows, ...]
     y: tuple[Array, ...]
     prior: tuple[Array, ...]
@@ -80,10 +83,17 @@ class Base:
 
         No column's torque is likely to be more than some times what the file leaves.
         That keeps directions harmless which the logs, or some of the folds, leave open.
+
+        Of friction that is where a column has any torque, also at samples that are no
+        rows. A drag beyond the speeds of the trials is nothing at all other samples:
+        over the rows, of which one or two just touch it, it would be free to be
+        anything, and what the base adds elsewhere would be as well.
         """
         bounds = [self._likely(dict(enumerate(self.rigid)))]
-        for joint, columns in enumerate(self.friction):
-            likely = self._likely({joint: columns})
+        for size, left_by_file in zip(self.friction_rms, self.start, strict=True):
+            likely = np.zeros_like(size)
+            if left_by_file > 0.0:
+                likely = size / (LIKELY * left_by_file)
             bounds.append(np.maximum(likely, UNSHOWN * np.max(likely, initial=0.0)))
         return bounds
 
@@ -238,25 +248,31 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         known_torque = nuisance_torque(sizes_of_file, number, residual.shape)
         residual_by_scene.append(residual - known_torque)
 
+    stage = stages.friction
     rigid = []
     friction = []
+    friction_rms = []
     y = []
     for joint in range(robot.n):
         rigid.append(rows.torque(joint, [H[:, joint] for H in H_by_scene]))
+        size = _ColumnRms(joint)
         per_scene = (
-            {joint: friction_columns(scene, stages.friction, joint)} for scene in scenes
+            {joint: size.counted(scene, friction_columns(scene, stages.friction, joint))}
+            for scene in scenes
         )
         friction.append(rows.columns(per_scene, 2)[joint])
+        friction_rms.append(size.rms)
         y.append(rows.torque(joint, [x[:, joint] for x in residual_by_scene]))
 
     friction_priors = [
-        _friction_prior(stages.friction, name, columns.shape[1])
+        _friction_prior(stage, name, columns.shape[1])
         for name, columns in zip(robot.joint_names, friction, strict=True)
     ]
     return Base(
         basis=basis,
         rigid=tuple(rigid),
         friction=tuple(friction),
+        friction_rms=tuple(friction_rms),
         nuisances=tuple(NuisanceRows.of(term, rows) for term in nuisances),
         y=tuple(y),
         prior=(
@@ -267,7 +283,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
             SceneBase(
                 H=H.astype(np.float32),
                 scene=scene,
-                stage=stages.friction,
+                stage=stage,
                 residual=residual,
             )
             for H, scene, residual in zip(
@@ -278,6 +294,33 @@ def base_of(rows: Rows, stages: Stages) -> Base:
             [np.sqrt(np.mean(of_joint**2)) if len(of_joint) else 0.0 for of_joint in y]
         ),
     )
+
+
+class _ColumnRms:
+    """The RMS of columns where they have any torque, as the data sets pass by.
+
+    Parameters
+    ----------
+    joint : int
+        The joint, of which samples count at which it slides.
+    """
+
+    def __init__(self, joint: int) -> None:
+        self.joint = joint
+        self._squares: Array = np.zeros(1)
+        self._counts: Array = np.zeros(1)
+
+    def counted(self, scene: Scene, columns: Array) -> Array:
+        """Count the columns (N, k) of one more data set, and return them."""
+        sliding = columns[scene.slides[:, self.joint]]
+        self._squares = self._squares + np.sum(sliding**2, axis=0)
+        self._counts = self._counts + np.count_nonzero(sliding, axis=0)
+        return columns
+
+    @property
+    def rms(self) -> Array:
+        """The RMS (k,), zero of a column without any torque."""
+        return np.asarray(np.sqrt(self._squares / np.maximum(self._counts, 1)))
 
 
 def _rigid_columns(scene: Scene, basis: Basis) -> Array:

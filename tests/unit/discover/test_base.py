@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.discover.base import base_of
+from seqid_cli.discover.base import LIKELY, base_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.params.schema import FrictionStage, Stages
@@ -72,3 +72,23 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(
     still = np.zeros(base.basis.size)
     found = base.deviation(still, [coefficients, coefficients])[0][:, 0]
     np.testing.assert_allclose(found, own, atol=1e-9)
+
+
+def test_a_drag_beyond_the_trials_is_bounded_by_what_it_adds_there(
+    scenes: list[Scene],
+) -> None:
+    """Its torque is no more than likely where it has any, though few rows show it."""
+    top = scenes[0].model.surfaces[0].scaling.speed[1]
+    fastest = max(np.abs(scene.motion.dq[:, 0]).max() for scene in scenes)
+    assert fastest > top
+    joint = friction_joint(
+        [[COULOMB[0] + HALF, HALF]], speed_range=[0.0, TOP], sign_width=SIGN_WIDTH
+    )
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+    base = base_of(rows_of(scenes), stages)
+    size = 1.0 / base.bounds[1][-1]
+    torque = size * np.maximum(
+        np.abs(np.concatenate([s.motion.dq[:, 0] for s in scenes])) - top, 0.0
+    )
+    usual = np.sqrt(np.mean(torque[torque > 0.0] ** 2))
+    assert usual == pytest.approx(LIKELY * base.start[0], rel=0.01)

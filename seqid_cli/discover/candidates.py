@@ -293,7 +293,15 @@ class CandidateColumns:
                 candidate.effect.link_angle(scene, candidate.joint, candidate.settings)
                 for scene in self.scenes
             ]
-            turned = [angle for angle in angles if angle is not None]
+            # Readings are low-passed, and so is the motion that an angle follows from.
+            # An angle with steps is finer than that motion: unfiltered, a landing that
+            # is a little early or late would look like no play.
+            is_finer = candidate.effect.passes > 1
+            turned = [
+                scene.motion.filtered(angle) if is_finer else angle
+                for scene, angle in zip(self.scenes, angles, strict=True)
+                if angle is not None
+            ]
             self._computed_on_links[key] = (
                 self.links.columns(candidate.joint, turned) if turned else {}
             )

@@ -42,6 +42,7 @@ BIAS = np.array([0.03, -0.02, 0.01])  # m/s^2, less than the calibration may be 
 BELT = LINK * (2.0 * np.pi * 12.0) ** 2  # N m/rad
 RINGS_S = 2.0
 ELASTICITY = CATALOGUE["joint_elasticity"]
+GAP = 4e-3  # rad
 
 
 def damped(stiffness: float) -> Gear:
@@ -122,6 +123,20 @@ def test_the_twist_of_a_belt_is_measured() -> None:
     compliance, explained = fit(links, of_log, BELT)
     assert 1.0 / compliance == pytest.approx(BELT, rel=0.03)
     assert explained > 0.85
+
+
+def test_the_play_of_a_gear_is_measured() -> None:
+    """Where the link lands its acceleration jumps: rows and columns are low-passed."""
+    of_log = with_imu(run(Gear(5e4, 20.0, GAP)))
+    stage = CandidateColumns(rows_of([replace(of_log, measured=of_log.motion.tau)]))
+    play = Candidate(CATALOGUE["backlash"], 0, {"trial_gap": GAP})
+    (columns,) = stage.columns([play])
+    X = columns[KIND][:, 0]
+    y = stage.links.y[0]
+    gap = float(X @ y) / float(X @ X)
+    explained = 1.0 - float(np.mean((y - gap * X) ** 2) / np.mean(y**2))
+    assert gap == pytest.approx(GAP, rel=0.1)
+    assert explained > 0.8
 
 
 def test_a_stiff_gear_has_no_rows() -> None:

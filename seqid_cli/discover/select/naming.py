@@ -15,7 +15,7 @@ likely as the name. Effects of `TermResult.alternatives` count by their evidence
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ class NameConfidence:
     by_itself : float
         Probability that it is what its name says.
     others : tuple of str
-        Names that these logs cannot rule out.
+        Names that these logs cannot rule out, the most probable first.
     """
 
     confidence: float
@@ -105,7 +105,8 @@ def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
     """
     shares = _name_probabilities(result)
     by_name = shares.pop(result.term.name, 0.0)
-    likely = {name: share for name, share in shares.items() if share > Options.alpha}
+    by_share = sorted(shares.items(), key=lambda pair: -pair[1])
+    likely = {name: share for name, share in by_share if share > Options.alpha}
 
     is_there = reality(result.share, result.evidence) * steadiness(
         result.log_evidence_of_variation, result.share, floors_left
@@ -121,24 +122,23 @@ def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
     )
 
 
-def probable_names(result: TermResult, *, of_most: float = 0.5) -> set[str]:
-    """Return the names that may head a finding.
+def tied_names(
+    result: TermResult, names: Collection[str], *, of_most: float = 0.5
+) -> set[str]:
+    """Return the most probable of some names, and those that nearly are.
 
-    They are all of them, unless the most probable one is a change of the file's values.
-    Such a change adds no law: its parameters are the model's own. So a law with fewer
-    parameters is no simpler, and heads the finding only if it is `of_most` as probable.
+    Parameters
+    ----------
+    result : TermResult
+        The term and its rivals.
+    names : collection of str
+        Names of rivals that may head the finding.
+    of_most : float
+        Share of the most probable one's probability, from which a name is tied with it.
     """
-    names = {rival.term.name for rival in result.rivals}
-    if result.term.smooth:
-        return names
-
     shares = _name_probabilities(result)
-    most_probable = max(shares, key=lambda name: shares[name])
-    changes = {rival.term.name for rival in result.rivals if rival.term.change}
-    if most_probable not in changes:
-        return names
-    least = of_most * shares[most_probable]
-    return {name for name, share in shares.items() if share >= least}
+    least = of_most * max(shares[name] for name in names)
+    return {name for name in names if shares[name] >= least}
 
 
 def _name_probabilities(result: TermResult) -> dict[str, float]:

@@ -29,7 +29,7 @@ from seqid_cli.discover.select.model import (
     PriorScale,
     SelectionProblem,
 )
-from seqid_cli.discover.select.naming import probable_names, reality
+from seqid_cli.discover.select.naming import reality, tied_names
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import (
     Key,
@@ -44,7 +44,7 @@ from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.seconds import worth_beside_larger
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import FittedTerm
-from seqid_cli.effects.effect import Effect, Mirrored
+from seqid_cli.effects.effect import FROM_LOG, Effect, Mirrored
 from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
@@ -460,7 +460,7 @@ class Selection:
                 better[term] = law
             else:
                 taken_keys = {other.key for other in better.values()}
-                better[term] = self._simplest_name(result, taken_keys)
+                better[term] = self._heading(result, taken_keys)
         if all(best is term for term, best in better.items()):
             return tuple(results.values())
 
@@ -540,8 +540,13 @@ class Selection:
                 model.terms[number] = as_good[0].term
                 model.settle()
 
-    def _simplest_name(self, result: TermResult, taken_keys: set[Key]) -> Term:
-        """Return the term of fewest parameters among it and rivals that do as well."""
+    def _heading(self, result: TermResult, taken_keys: set[Key]) -> Term:
+        """Return the term that heads a finding, among it and rivals that do as well.
+
+        The most probable name does. Of names that are tied with it one that says that
+        the file's values have changed goes first, where logs show that they have: such
+        a change adds no law. Then the one with the fewest parameters does.
+        """
         keys = set(taken_keys)
         for term in self.model.terms:
             if term is not result.term and not is_wide(term):
@@ -550,16 +555,38 @@ class Selection:
         mirrored = _mirrored(result.term)
         if mirrored is not None:
             keys.add((result.term.name, mirrored.joint))
-        probable = probable_names(result)
+
         free = [
             rival
             for rival in result.rivals
-            if rival.term.key not in keys
-            and self._passes(rival)
-            and (rival.term.smooth or rival.term.name in probable)
+            if rival.term.key not in keys and self._passes(rival)
         ]
-        simplest = self._simplest(free) or result.scored
-        return simplest.term
+        near = [rival for rival in free if self.as_good(rival, free[0])]
+        names = {rival.term.name for rival in near if not rival.term.smooth}
+        tied = tied_names(result, names) if names else names
+        heading = min(
+            (each for each in near if each.term.smooth or each.term.name in tied),
+            key=lambda each: (
+                not self._has_changed(each.term),
+                each.term.freedom,
+                -each.fit.log_bayes_factor,
+            ),
+            default=result.scored,
+        )
+        return heading.term
+
+    def _has_changed(self, term: Term) -> bool:
+        """Return whether a term is a change of values that logs show.
+
+        They do where the file's own trials tell what the values were, or where the
+        change came between two logs.
+        """
+        if not isinstance(term.what, Candidate) or not term.change:
+            return False
+        scene = self.model.ground.stage.scenes[0]
+        has_own_trials = term.joint is not None and has_trials(scene, term.joint)
+        since_a_log = term.what.settings.get(FROM_LOG, 0.0) > 0.0
+        return has_own_trials or since_a_log
 
     def result_of(self, judged: TermInModel) -> TermResult:
         """Return a term with its rivals."""

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.select import terms
+from seqid_cli.discover.select import selection, terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import SelectionResult
+from seqid_cli.discover.select.results import (
+    ScoredTerm,
+    SelectionResult,
+    TermResult,
+)
+from seqid_cli.discover.select.rows import Score
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.settings import EvidenceSettings
@@ -260,3 +265,51 @@ def test_a_function_does_not_hide_the_effect_whose_law_it_mends(
     loss = candidate("load_dependent_friction", 1)
     model, _ = with_terms(at_joint(1, law), "load x direction", loss)
     assert keys(Selection(model, []).told(0.0)) == [(told, 1)]
+
+
+LAGS = {"even": 60.0, "behind": 300.0}  # nats of 10,000: as likely, and as good
+SIMPLE = "torque_bias"  # one parameter
+RICH = "position_dependent_friction"
+CHANGED = "friction_change"
+
+
+@pytest.mark.parametrize(
+    ("lags", "head"),
+    [
+        ({RICH: 0.0, SIMPLE: LAGS["even"]}, SIMPLE),
+        ({RICH: 0.0, SIMPLE: LAGS["behind"]}, RICH),
+        ({RICH: 0.0, CHANGED: LAGS["even"], "stribeck": LAGS["even"]}, CHANGED),
+        ({RICH: 0.0, CHANGED: LAGS["behind"], "stribeck": 0.0}, "stribeck"),
+    ],
+)
+def test_the_most_probable_name_heads_or_one_that_is_tied_with_it(
+    monkeypatch: pytest.MonkeyPatch, lags: dict[str, float], head: str
+) -> None:
+    """Of tied names a change that logs show, else the one with fewest parameters."""
+    monkeypatch.setattr(selection, "has_trials", lambda *_: True)
+    model = model_of(arm_scenes(logs=1, seconds=8.0))
+    rivals = [rival(model, name, 1e4 - lag) for name, lag in lags.items()]
+    result = TermResult(
+        scored=rivals[-1],
+        rivals=tuple(rivals),
+        left_without=(),
+        evidence=1e4,
+        share=0.9,
+        model=model,
+        alternatives={},
+        log_evidence_of_variation=0.0,
+    )
+    assert Selection(model, ())._heading(result, set()).name == head
+
+
+def rival(model: Model, name: str, gain: float) -> ScoredTerm:
+    """Return an effect of the first joint that gains as much in every block."""
+    effect = CATALOGUE[name]
+    stage = model.ground.stage
+    of_grid = next(effect.grid(stage.scenes, 0, model.left()))
+    (term,) = terms.effects(stage, [Candidate(effect, 0, of_grid)], model.ground.size)
+    blocks = model.ground.rows.blocks
+    score = Score(block_gains=np.full(blocks, gain / blocks), rows=np.ones(blocks))
+    (fit,) = model.linear.fits([term.part])
+    fit = replace(fit, log_bayes_factor=gain)
+    return ScoredTerm(term=term, fit=fit, score=score)

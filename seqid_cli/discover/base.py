@@ -257,7 +257,11 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         rigid.append(rows.torque(joint, [H[:, joint] for H in H_by_scene]))
         size = _ColumnRms(joint)
         per_scene = (
-            {joint: size.counted(scene, friction_columns(scene, stages.friction, joint))}
+            {
+                joint: size.counted(
+                    scene, friction_columns(scene, stages.friction, joint)
+                )
+            }
             for scene in scenes
         )
         friction.append(rows.columns(per_scene, 2)[joint])

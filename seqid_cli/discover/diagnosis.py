@@ -38,9 +38,11 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import NameConfidence, named
-from seqid_cli.discover.select.results import TermResult
-from seqid_cli.discover.select.rows import joints_below
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import ScoredTerm, TermResult
+from seqid_cli.discover.select.rows import doubt_of, joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.verdict import (
     VERDICT_OF_STATE,
     JointState,
@@ -64,6 +66,9 @@ from seqid_cli.typing import Array
 
 # of a coefficient's variance beforehand, from which the logs tell nothing of it
 UNTOLD_SHARE = 0.9
+# share of the squared error, from which a function says what the rest depends on: of
+# what takes less there are many functions that take as much
+GOOD_PART = 0.5
 
 
 def diagnose(
@@ -436,9 +441,13 @@ def _unexplained(
         closest = diagnosis.ClosestEffect(
             effect=effects[0].term.name, share=float(np.clip(share, 0.0, 1.0))
         )
+    functions = [
+        result.scored,
+        *(rival for rival in result.rivals if _is_function_at(rival, function.joint)),
+    ]
     return diagnosis.UnexplainedPart(
         joint=robot.joint_names[function.joint],
-        depends_on=list(function.quantities),
+        depends_on=_quantities(functions),
         share=float(np.clip(score.share, 0.0, 1.0)),
         closest=closest,
         log_gain=score.total,
@@ -452,16 +461,11 @@ def _nameless(
 ) -> diagnosis.UnexplainedPart:
     """Describe what is missing at a joint, where no name for it is sure enough."""
     score = result.scored.score
-    functions = [
-        rival.term.what
-        for rival in result.rivals
-        if isinstance(rival.term.what, SmoothFunction)
-        and rival.term.what.joint == joint
-    ]
+    functions = [rival for rival in result.rivals if _is_function_at(rival, joint)]
     largest = max(rival.score.total for rival in result.rivals)
     return diagnosis.UnexplainedPart(
         joint=robot.joint_names[joint],
-        depends_on=list(functions[0].quantities) if functions else [],
+        depends_on=_quantities(functions),
         share=float(np.clip(score.share, 0.0, 1.0)),
         closest=diagnosis.ClosestEffect(
             effect=result.term.name,
@@ -480,26 +484,87 @@ def _excess(
 
     It is `times` what a right model leaves.
     """
-    ground = investigation.ground
     part = diagnosis.UnexplainedPart(
         joint=robot.joint_names[joint],
         depends_on=[],
         share=1.0 - times**-2,
         closest=_closest_untaken(investigation, joint),
     )
-    terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
-    fits = investigation.model.linear.fits([term.part for term in terms])
-    if not fits:
-        return part
-    term, fit = max(
-        zip(terms, fits, strict=True), key=lambda pair: pair[1].log_bayes_factor
-    )
-    if fit.log_bayes_factor > 0.0:
-        function = term.what
-        assert isinstance(function, SmoothFunction)
+    function = telling_function(_functions_of_the_rest(investigation, joint))
+    if function is not None:
         part.depends_on = list(function.quantities)
         part.evidence = left_over(investigation, robot, function)
     return part
+
+
+def _functions_of_the_rest(
+    investigation: Investigation, joint: int, *, most: int = 5
+) -> list[ScoredTerm]:
+    """Return the smooth functions of what is left at a joint, the largest gain first.
+
+    Only the `most` of the largest evidence are scored, and those of time.
+    """
+    ground = investigation.ground
+    linear = investigation.model.linear
+    terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
+    fits = linear.fits([term.part for term in terms])
+    fitted = [
+        (term, fit)
+        for term, fit in zip(terms, fits, strict=True)
+        if fit.log_bayes_factor > 0.0
+    ]
+    fitted.sort(key=lambda pair: -pair[1].log_bayes_factor)
+    of_time = [pair for pair in fitted[most:] if _is_of_time(pair[0])]
+    shortlist = [*fitted[:most], *of_time]
+    scores = linear.scores([term.part for term, _ in shortlist])
+    scored = [
+        ScoredTerm(term=term, fit=fit, score=score)
+        for (term, fit), score in zip(shortlist, scores, strict=True)
+    ]
+    return sorted(scored, key=lambda each: -each.score.total)
+
+
+def _is_function_at(scored: ScoredTerm, joint: int) -> bool:
+    """Return whether a term is a smooth function at a joint."""
+    function = scored.term.what
+    return isinstance(function, SmoothFunction) and function.joint == joint
+
+
+def _is_of_time(term: Term) -> bool:
+    """Return whether a term is a smooth function of time alone."""
+    return isinstance(term.what, SmoothFunction) and term.what.quantities == ("time",)
+
+
+def telling_function(functions: Sequence[ScoredTerm]) -> SmoothFunction | None:
+    """Return the function by which one says what the rest depends on, or None.
+
+    It is the best one, if it takes a good part of the squared error. Else it is one of
+    time, if none surely does better.
+
+    Parameters
+    ----------
+    functions : sequence of ScoredTerm
+        Smooth functions of one joint.
+    """
+    if not functions:
+        return None
+    best = max(functions, key=lambda each: each.score.total)
+    telling = [best] if best.score.share >= GOOD_PART else []
+    for other in functions:
+        lag = best.score.block_gains - other.score.block_gains
+        if _is_of_time(other.term) and doubt_of(lag) > Options.alpha:
+            telling.append(other)
+    if not telling:
+        return None
+    function = telling[0].term.what
+    assert isinstance(function, SmoothFunction)
+    return function
+
+
+def _quantities(functions: Sequence[ScoredTerm]) -> list[str]:
+    """Return what is not explained depends on, by smooth functions of one joint."""
+    function = telling_function(functions)
+    return [] if function is None else list(function.quantities)
 
 
 def _closest_untaken(

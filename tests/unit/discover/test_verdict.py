@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover import base
+from seqid_cli.discover.diagnosis import telling_function
 from seqid_cli.discover.investigate import FileResidual
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.nuisances import DELAY, Nuisance, nuisances_of
 from seqid_cli.discover.select.model import SelectionProblem
 from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import ScoredTerm
+from seqid_cli.discover.select.rows import Score, TermFit
+from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.verdict import _since, joint_states, verdict_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
@@ -191,3 +195,46 @@ def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) ->
     assert rows.term.joint is None
     assert sorted(rows.columns) == [0, 1]
     assert selected(scenes, ["time_skew", "spring"]).terms == ()
+
+
+ROWS = 100.0  # independent ones, all together
+
+
+@pytest.fixture(scope="module")
+def one_arm() -> SelectionProblem:
+    return ground_of(arm_scenes(logs=2, seconds=8.0))
+
+
+@pytest.mark.parametrize(
+    ("gains", "named"),
+    [
+        # nats, of which 100 take two thirds of the squared error
+        ({"position": 100.0, "time since the log's start": 99.0}, ("position",)),
+        ({"position": 20.0, "time since the log's start": 19.0}, ("time",)),
+        ({"position": 20.0, "time since the log's start": 2.0}, None),
+        ({"position": 20.0}, None),
+        ({}, None),
+    ],
+)
+def test_what_is_left_depends_on_what_takes_a_good_part_of_it(
+    one_arm: SelectionProblem, gains: dict[str, float], named: tuple[str, ...] | None
+) -> None:
+    terms = {term.name: term for term in one_arm.smooth_terms(0)}
+    telling = telling_function([scored(terms[n], gain) for n, gain in gains.items()])
+    assert (telling and telling.quantities) == named
+
+
+def scored(term: Term, gain: float) -> ScoredTerm:
+    """Return a term and what it gains; a function of time more in every other block."""
+    uneven = np.resize([1.0, -1.0], BLOCKS) if term.name.startswith("time") else 0.0
+    fit = TermFit(
+        log_bayes_factor=gain,
+        coefficients=np.zeros(1),
+        covariance=np.eye(1),
+        visible_share=1.0,
+    )
+    score = Score(
+        block_gains=np.full(BLOCKS, gain / BLOCKS) + uneven,
+        rows=np.full(BLOCKS, ROWS / BLOCKS),
+    )
+    return ScoredTerm(term=term, fit=fit, score=score)

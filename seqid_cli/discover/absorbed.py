@@ -17,7 +17,7 @@ In shapes, N is the number of samples of a joint's trials, first ahead and then 
 that of the rigid base parameters, and k that of the effect's coefficients.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import product
 
@@ -27,12 +27,29 @@ from seqid_cli.discover.base import Base, has_trials, surface_columns
 from seqid_cli.effects.effect import Effect, Settings
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.identify.nuisances import PRIORS, even_columns, friction_rms
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gravity_base_regressor
 from seqid_cli.typing import Array
 
 PLACES = 33  # over the positions of a trial
 OPEN = 1e-6  # of the largest singular value: what gravity's trials leave open
+
+
+@dataclass(frozen=True)
+class _AsymmetryFit:
+    """What a surface of two directions takes of torque that is alike both ways.
+
+    Attributes
+    ----------
+    columns : (N, m) array
+        Its offset and asymmetries.
+    per_torque : (m, N) array
+        Their coefficients per torque in the trials.
+    """
+
+    columns: Array
+    per_torque: Array
 
 
 class FileTrials:
@@ -55,6 +72,7 @@ class FileTrials:
         # of a joint, all ahead, then the way back
         self._trials = cache(partial(_steady, scene))
         self._fits: dict[int, Array] = {}
+        self._asymmetries: dict[int, _AsymmetryFit] = {}
 
     def absorbed(
         self, effect: Effect, joint: Joint, settings: Settings
@@ -146,11 +164,20 @@ class FileTrials:
         """
         surface = self.scene.model.surfaces[joint]
         assert surface is not None
-        assert self.stages.friction is not None
         if not surface.directional:
             return np.zeros_like(even)
+        if joint not in self._asymmetries:
+            self._asymmetries[joint] = self._asymmetry_fit(joint, surface)
+        fit = self._asymmetries[joint]
+        return np.asarray(fit.columns @ (fit.per_torque @ even))
 
-        # Least squares for both together, the prior of the asymmetries as rows below.
+    def _asymmetry_fit(self, joint: int, surface: FrictionSurface) -> _AsymmetryFit:
+        """Return how a joint's asymmetries share torque with gravity.
+
+        It is the least squares for both together, with the prior of the asymmetries as
+        rows below.
+        """
+        assert self.stages.friction is not None
         name = self.scene.robot.joint_names[joint]
         std_error = max(self.stages.friction.joints[name].rmse, 1e-12)
         motion = self._trials(joint).motion
@@ -158,9 +185,10 @@ class FileTrials:
         columns = np.column_stack([asymmetries, self._at_rest(joint)]) / std_error
         prior_std = np.maximum(PRIORS.even_std(friction_rms(surface)), 1e-12)
         prior = np.eye(len(prior_std), columns.shape[1]) / prior_std[:, None]
-        right = np.vstack([even / std_error, np.zeros((len(prior), even.shape[1]))])
-        solution = np.linalg.lstsq(np.vstack([columns, prior]), right, rcond=OPEN)[0]
-        return np.asarray(asymmetries @ solution[: asymmetries.shape[1]])
+        inverse = np.linalg.pinv(np.vstack([columns, prior]), rcond=OPEN)
+        n_asymmetries = asymmetries.shape[1]
+        per_torque = inverse[:n_asymmetries, : len(columns)] / std_error
+        return _AsymmetryFit(columns=asymmetries, per_torque=per_torque)
 
     @cached_property
     def _gravity(self) -> dict[int, Array]:

@@ -1,7 +1,7 @@
 """A robot guessed from the names in a log alone: all but its geometry."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -10,24 +10,21 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import LogContents
-from seqid_cli.logs.tables.naming_schemes import (
-    COMMANDED,
-    MEASURED,
-    joints_by_scheme,
+from seqid_cli.logs.tables.name_words import (
+    BESIDE,
+    BRACKET,
+    EFFORT,
+    letters_of,
+    quantity_of,
+    words_of,
 )
-from seqid_cli.logs.tables.naming_schemes import WORDS as WORDS  # as others import it
+from seqid_cli.logs.tables.naming_schemes import joints_by_scheme, patterns_around
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.toml import MOST_JOINTS
 from seqid_cli.robot.toml_schema import Channels, Columns, column_name
 from seqid_cli.robot.types import Imu, Joint, Robot
 
-_QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
-_BESIDE = COMMANDED | MEASURED
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
-_BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
-_UNITS = frozenset(
-    {"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"}
-)
 _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
 
 
@@ -43,10 +40,17 @@ class Guess:
     topic: str | None = None  # of the joint states, where it is not the usual one
 
 
-def guess(contents: LogContents) -> Guess:
-    """Guess joints, channels and IMUs of a log from the names in it."""
+def guess(contents: LogContents, robot_joints: Sequence[str] = ()) -> Guess:
+    """Guess joints, channels and IMUs of a log from the names in it.
+
+    `robot_joints` are names that the robot has, if they are known: of a URDF.
+    """
     imus = _imus(contents.columns or contents.channels)
     patterns, joints = guess_channels(contents.columns)
+    if not contents.joints and set(joints).isdisjoint(robot_joints):
+        known_patterns, known_joints = _around_known(robot_joints, contents.columns)
+        if known_joints and len(known_joints) >= len(joints):
+            patterns, joints = known_patterns, known_joints
     ends = (name.rpartition(".") for name in contents.columns)
     defaults = tuple(
         joint for joint, dot, quantity in ends if dot and quantity == "position"
@@ -60,7 +64,7 @@ def guess(contents: LogContents) -> Guess:
         )
     positions = patterns["position"]
     text = positions if isinstance(positions, str) else " ".join(map(str, positions))
-    words = {*_letters(text), *re.findall("°", text)}
+    words = {*letters_of(text), *re.findall("°", text)}
     unit: Literal["rad", "deg"] = "deg" if _DEGREES & words else "rad"
     return Guess(
         joints=joints,
@@ -69,6 +73,26 @@ def guess(contents: LogContents) -> Guess:
         unit=unit,
         length_unit="mm" if "mm" in words else "m",
     )
+
+
+def _around_known(
+    robot_joints: Sequence[str], columns: Sequence[str]
+) -> tuple[dict[str, Columns], tuple[str, ...]]:
+    """Guess patterns around names of known joints, and which of these are there.
+
+    The pattern of the position is the one that most of them have.
+    """
+    joints_by_pattern: dict[str, list[str]] = {}
+    for joint in robot_joints:
+        for pattern in patterns_around([joint], columns).get("position", ()):
+            joints_by_pattern.setdefault(pattern, []).append(joint)
+    if not joints_by_pattern:
+        return {}, ()
+    position, joints = max(joints_by_pattern.items(), key=lambda item: len(item[1]))
+    patterns: dict[str, Columns] = {"position": position}
+    for quantity, listed in patterns_around(joints, columns).items():
+        patterns.setdefault("torque" if quantity == EFFORT else quantity, listed[0])
+    return patterns, tuple(joints)
 
 
 def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
@@ -90,7 +114,7 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
     form = read.patterns["position"]
     if not joints:
         # `freq_q`: a word of few letters tells a quantity of several joints only.
-        words = _letters(form.replace("{name}", " "))
+        words = letters_of(form.replace("{name}", " "))
         is_short = max(map(len, words)) <= _SHORT
         if "_" in form and is_short and len(read.joints) == 1:
             return patterns, joints
@@ -134,7 +158,7 @@ def _guess_by_words(names: list[str]) -> tuple[dict[str, Columns], tuple[str, ..
                 patterns[quantity] = of_all_joints[0]
         return patterns | {"position": form}, tuple(joints)
     for name in names:  # of a single joint, which need no name: `q`, `q_act`, `tau`
-        if quantity := _quantity(_words(name)):
+        if quantity := quantity_of(words_of(name)):
             patterns.setdefault(quantity, name)
     return (patterns, ("joint_1",)) if "position" in patterns else ({}, ())
 
@@ -162,14 +186,12 @@ def _numbered(
     by_quantity: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
-            if any(
-                a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)
-            ):
+            if any(a.start() < match.start() < a.end() for a in BRACKET.finditer(name)):
                 continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
-            if quantity := _quantity(_words(form)):
+            if quantity := quantity_of(words_of(form)):
                 forms = by_quantity.setdefault(quantity, {}).setdefault(
-                    _BRACKET.sub("", form), {}
+                    BRACKET.sub("", form), {}
                 )
                 forms.setdefault(int(match[0]), form)
     for quantity, columns_of_forms in by_quantity.items():
@@ -188,42 +210,18 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
         for separator in ("/", ".", "_"):
             parts = name.split(separator)
             for at in (len(parts) - 1, 0):
-                quantity = _quantity(_words(parts[at])) if len(parts) > 1 else ""
+                quantity = quantity_of(words_of(parts[at])) if len(parts) > 1 else ""
                 joint = separator.join(parts[:at] if at else parts[1:]).strip("/")
-                if quantity and joint and not _BESIDE & set(_words(joint)):
+                if quantity and joint and not BESIDE & set(words_of(joint)):
                     form = name.replace(joint, "{name}", 1)
                     forms = by_quantity.setdefault(quantity, {})
                     forms.setdefault(form, []).append(joint)
     # Words of few letters tell a quantity beside several joints only.
     for forms in by_quantity.values():
         for form in [form for form, joints in forms.items() if len(joints) == 1]:
-            if max(map(len, _letters(form.replace("{name}", " ")))) <= _SHORT:
+            if max(map(len, letters_of(form.replace("{name}", " ")))) <= _SHORT:
                 del forms[form]
     return {quantity: forms for quantity, forms in by_quantity.items() if forms}
-
-
-def _words(text: str) -> list[str]:
-    """Words of a name in lower case, without the unit behind it."""
-    words = _letters(_BRACKET.sub(" ", text.replace("{#}", " ")))
-    return words[:1] + [word for word in words[1:] if word not in _UNITS]
-
-
-def _letters(text: str, *, shortest: int = 3) -> list[str]:
-    """Words in lower case; compounds (`istposition`) are parted at their quantity."""
-    words: list[str] = []
-    for word in filter(None, re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)):
-        ends = (word[len(b) :].lower() for b in _BESIDE if word.lower().startswith(b))
-        quantity = next(
-            (q for q in ends if len(word) - len(q) >= shortest and q in _QUANTITY), ""
-        )
-        words += filter(None, (word.lower().removesuffix(quantity), quantity))
-    return words
-
-
-def _quantity(words: list[str]) -> str:
-    if COMMANDED & set(words):
-        return ""
-    return _QUANTITY.get("".join(word for word in words if word not in MEASURED), "")
 
 
 def _is_range(numbers: list[int]) -> bool:

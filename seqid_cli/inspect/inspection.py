@@ -120,6 +120,7 @@ def inspect_log(
     *,
     settings: InspectSettings = InspectSettings(),
     time_source: TimeSource = "header",
+    robot_joints: Sequence[str] = (),
 ) -> Inspected:
     """Inspect one log.
 
@@ -133,6 +134,8 @@ def inspect_log(
         Numbers that decide.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
+    robot_joints : sequence of str
+        Names that the robot has, for a guess.
 
     Returns
     -------
@@ -165,7 +168,7 @@ def inspect_log(
     # The log says more of itself than that it does not fit the robot file: without one,
     # or where it does not fit, joints are guessed.
     if inspected is None:
-        guessed = guess(contents)
+        guessed = guess(contents, robot_joints)
         findings = [*_topic_findings(contents)]
         if robot is not None and problem is not None:
             missing, findings = _why_it_does_not_fit(robot, guessed, problem)

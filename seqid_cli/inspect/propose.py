@@ -70,8 +70,9 @@ def propose(
         `drives` have another number of values.
     """
     contents = contents_of(paths[0])
-    guessed = guess(contents)
-    reports = [inspect_log(path) for path in paths]
+    robot_joints = urdf.movable if urdf is not None else ()
+    guessed = guess(contents, robot_joints)
+    reports = [inspect_log(path, robot_joints=robot_joints) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
             problem = report.findings[0]

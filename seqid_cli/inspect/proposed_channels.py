@@ -3,8 +3,9 @@
 import re
 from collections.abc import Collection, Iterable, Sequence
 
-from seqid_cli.inspect.guess import WORDS, Guess
+from seqid_cli.inspect.guess import Guess
 from seqid_cli.logs.contents import LogContents
+from seqid_cli.logs.tables.name_words import WORDS
 from seqid_cli.logs.tables.naming_schemes import (
     LEROBOT_STATE,
     find_scheme,

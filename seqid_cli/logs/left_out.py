@@ -18,7 +18,7 @@ from seqid_cli.logs.publishers import second_publisher
 from seqid_cli.logs.raw import Stamps, Stream
 from seqid_cli.logs.read import without_absurd
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.logs.tables.naming_schemes import QUANTITIES
+from seqid_cli.logs.tables.name_words import QUANTITIES
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml_schema import Columns
 from seqid_cli.robot.types import LockedJoint, Robot

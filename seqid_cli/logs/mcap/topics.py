@@ -9,7 +9,7 @@ from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.collector import Samples
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Stream
-from seqid_cli.logs.tables.naming_schemes import COMMANDED
+from seqid_cli.logs.tables.name_words import COMMANDED
 from seqid_cli.robot.toml_schema import Channels
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array

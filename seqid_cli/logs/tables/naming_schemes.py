@@ -16,132 +16,19 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from seqid_cli.logs.tables.name_words import (
+    COMMANDED,
+    EFFORT,
+    NAMING_WORDS,
+    QUANTITIES,
+    is_in_si,
+    quantity_of,
+    words_of,
+)
 from seqid_cli.robot.toml_schema import column_name
 
-QUANTITIES = (
-    "position",
-    "velocity",
-    "torque",
-    "current",
-    "load",
-    "link_position",
-    "voltage",
-    "pwm",
-    "temperature",
-)
-EFFORT = "effort"  # torque or current, whichever the robot file says
 _ALL = (*QUANTITIES, EFFORT)
 
-
-@dataclass(frozen=True)
-class _Words:
-    """Words for one quantity, in the order in which they are tried.
-
-    `named` and `numbered` stand beside a joint's name or number in columns that are
-    read as they are. `proposed` ones are too common to be read unasked. They count
-    where a robot file is proposed, which a person looks at.
-    """
-
-    named: str = ""
-    numbered: str = ""
-    proposed: str = ""
-
-
-# The one table of names: what a reader finds, and what a proposal may guess.
-_WORDS = {
-    "position": _Words(
-        named="position pos q",
-        numbered="q position pos joint_position joint_positions",
-        proposed="positions angle theta measq winkel",
-    ),
-    "velocity": _Words(
-        named="velocity vel dq qd",
-        numbered="dq qd velocity vel joint_velocity joint_velocities",
-        proposed="velocities qdot speed geschwindigkeit drehzahl",
-    ),
-    "current": _Words(
-        named="current",
-        numbered="current i joint_current joint_currents",
-        proposed="currents cur amps iq strom",
-    ),
-    "torque": _Words(
-        named="torque tau",
-        numbered="tau torque joint_torque joint_torques",
-        proposed="torques tauj moment drehmoment",
-    ),
-    EFFORT: _Words(
-        named="effort",
-        numbered="effort joint_effort joint_efforts",
-        proposed="efforts",
-    ),
-    "load": _Words(proposed="load"),
-    "voltage": _Words(proposed="voltage spannung"),
-    "pwm": _Words(proposed="pwm duty"),
-    "temperature": _Words(
-        named="temperature temp",
-        numbered="temperature temp joint_temperature joint_temperatures",
-        proposed="temperatures temperatur",
-    ),
-}
-# Words beside a quantity that tell what was commanded or measured, and are no joint.
-COMMANDED = frozenset(
-    {
-        "target",
-        "desired",
-        "des",
-        "cmd",
-        "command",
-        "commanded",
-        "ref",
-        "goal",
-        "action",
-        "request",
-        "requested",
-        "setpoint",
-        "soll",
-        "d",
-        "err",
-        "error",
-    }
-)
-MEASURED = frozenset(
-    {
-        "joint",
-        "joints",
-        "j",
-        "a",
-        "m",
-        "axis",
-        "achse",
-        "gelenk",
-        "state",
-        "states",
-        "actual",
-        "present",
-        "measured",
-        "meas",
-        "act",
-        "ist",
-        "motor",
-        "servo",
-        "robot",
-        "observation",
-    }
-)
-
-
-def _guessed_words() -> dict[str, frozenset[str]]:
-    """Return all words for each quantity that are one word; an effort is a torque."""
-    by_quantity: dict[str, frozenset[str]] = {}
-    for quantity, words in _WORDS.items():
-        every_form = f"{words.named} {words.numbered} {words.proposed}".split()
-        single = frozenset(word for word in every_form if "_" not in word)
-        key = "torque" if quantity == EFFORT else quantity
-        by_quantity[key] = by_quantity.get(key, frozenset()) | single
-    return by_quantity
-
-
-WORDS: Mapping[str, frozenset[str]] = _guessed_words()
 
 _RTDE = {
     "position": "actual_q",
@@ -195,8 +82,10 @@ def _scheme(
     return Scheme(patterns=patterns, time=time, time_unit=time_unit, of_lists=of_lists)
 
 
-_NAMED = {name: words.named for name, words in _WORDS.items() if words.named}
-_NUMBERED = {name: words.numbered for name, words in _WORDS.items() if words.numbered}
+_NAMED = {name: words.named for name, words in NAMING_WORDS.items() if words.named}
+_NUMBERED = {
+    name: words.numbered for name, words in NAMING_WORDS.items() if words.numbered
+}
 DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
 SCHEMES = (
     DEFAULT,
@@ -282,7 +171,51 @@ def find_scheme(
                 columns[quantity] = names
         if "position" in columns:
             return Match(columns, scheme.time, scheme.time_unit)
-    return None
+    return _match_around(joints, log_columns)
+
+
+def _match_around(joints: Sequence[str], log_columns: Collection[str]) -> Match | None:
+    """Match columns that hold the joints' names between other words.
+
+    Only where one pattern alone tells the position, in SI units; another quantity that
+    several patterns tell is left out.
+    """
+    sure = {
+        quantity: patterns[0]
+        for quantity, patterns in patterns_around(joints, log_columns).items()
+        if len(patterns) == 1 and is_in_si(patterns[0])
+    }
+    if "position" not in sure:
+        return None
+    columns: dict[str, list[str | None]] = {
+        quantity: [pattern.replace("{name}", joint) for joint in joints]
+        for quantity, pattern in sure.items()
+    }
+    return Match(columns, None, None)
+
+
+def patterns_around(
+    joints: Sequence[str], log_columns: Collection[str]
+) -> dict[str, list[str]]:
+    """Find the patterns by which columns name quantities around the joints' names.
+
+    `actual_position_{name}` or `{name}.present_position`: words for a quantity, and
+    words that are no command beside them. A pattern has a column for every joint.
+    """
+    efforts = frozenset(f"{NAMING_WORDS[EFFORT].named} efforts".split())
+    patterns: dict[str, list[str]] = {}
+    for column in sorted(log_columns):
+        if joints[0] not in column or "{" in column:
+            continue
+        pattern = column.replace(joints[0], "{name}", 1)
+        if any(pattern.replace("{name}", name) not in log_columns for name in joints):
+            continue
+        words = words_of(pattern.replace("{name}", " "))
+        quantity = quantity_of(words)
+        if quantity:
+            key = EFFORT if efforts.intersection(words) else quantity
+            patterns.setdefault(key, []).append(pattern)
+    return patterns
 
 
 def find_quantities(

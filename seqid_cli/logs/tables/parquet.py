@@ -19,7 +19,8 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
 from seqid_cli.logs.tables.csv_form import LONGEST_LIST
-from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS, WORDS
+from seqid_cli.logs.tables.name_words import WORDS
+from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS
 from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
 from seqid_cli.robot.types import Robot
 

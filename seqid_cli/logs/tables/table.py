@@ -22,6 +22,7 @@ from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.episodes import separate
 from seqid_cli.logs.tables.imu_columns import ImuColumns, imu_columns
+from seqid_cli.logs.tables.name_words import EFFORT, QUANTITIES
 from seqid_cli.robot.toml_schema import Channels, Columns, column_name
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -232,12 +233,12 @@ def _joint_columns(
         if match is None
         else dict(match.columns)
     )
-    effort = columns.pop(schemes.EFFORT, None)
+    effort = columns.pop(EFFORT, None)
     if effort is not None:
         is_current = robot.channels.effort_is_current
         columns.setdefault("current" if is_current else "torque", effort)
 
-    for quantity in schemes.QUANTITIES:
+    for quantity in QUANTITIES:
         pattern: Columns | None = getattr(robot.channels, quantity)
         if pattern is None:
             continue
@@ -248,7 +249,7 @@ def _joint_columns(
         if missing:
             raise missing_columns(file.where, missing, file.names)
         columns[quantity] = [*declared]
-    return {name: columns[name] for name in schemes.QUANTITIES if name in columns}
+    return {name: columns[name] for name in QUANTITIES if name in columns}
 
 
 def _time_column(

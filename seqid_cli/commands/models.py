@@ -305,7 +305,7 @@ def refine(
             max=100,
             help=(
                 "At most this many rounds, each of one effect, at one joint or at"
-                " several; no limit if left out."
+                " several, or of one smooth term; no limit if left out."
             ),
         ),
     ] = None,

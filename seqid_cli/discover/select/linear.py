@@ -42,9 +42,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from seqid_cli.discover.select import algebra
+from seqid_cli.discover.select.arrow import Arrow, ArrowFactor, Layout, Place
 from seqid_cli.discover.select.rows import (
     ColumnGroup,
     LogColumns,
@@ -59,10 +60,25 @@ BATCH = 200  # terms that are tried at once
 
 
 class _Solution(NamedTuple):
-    """A Cholesky factor of the scaled M, and the parameters theta (p,)."""
+    """A root of the scaled M, and the parameters theta (p,)."""
 
-    factor: algebra.Factor
+    factor: ArrowFactor
     theta: Array
+
+
+class _Absorbing(NamedTuple):
+    """What the file has absorbed of the model's own groups.
+
+    Attributes
+    ----------
+    places : (K,) index array
+        The parameters of the groups of which it has absorbed anything.
+    in_file : (p, K) array
+        The parameters R that the file has per unit of these.
+    """
+
+    places: Index
+    in_file: Array
 
 
 @dataclass(frozen=True)
@@ -269,15 +285,23 @@ class LinearModel:
             index=np.concatenate(index), groups=groups, of_log=of_log
         )
 
-    def _held_precision(self, *, file: bool = True) -> Array:
-        """Return the precision (p, p) of what is `held`, with or without the file's."""
-        P = np.zeros((self.size, self.size))
-        for part, where in zip(self.parts, self.where, strict=True):
-            precision = part.precision
-            if not file and part.precision_without_file is not None:
-                precision = part.precision_without_file
-            P[where, where] = precision
-        return P
+    def _held_precisions(self, *, file: bool = True) -> list[Array]:
+        """Return the precision (k, k) of each group, with or without the file's."""
+        return [
+            part.precision
+            if file or part.precision_without_file is None
+            else part.precision_without_file
+            for part in self.parts
+        ]
+
+    def _held_times(self, right: Array, *, file: bool = True) -> Array:
+        """Return the precision of what is `held`, times columns (p, m)."""
+        result = np.empty_like(right)
+        for where, precision in zip(
+            self.where, self._held_precisions(file=file), strict=True
+        ):
+            result[where] = precision @ right[where]
+        return result
 
     def in_file(self, part: ColumnGroup) -> Array:
         """Return the parameters R (p, k) that the file has per unit of coefficients."""
@@ -288,29 +312,54 @@ class LinearModel:
         return R
 
     @cached_property
-    def lift(self) -> Array:
-        """Matrix (p, p) that adds to the parameters what the file has absorbed."""
-        U = np.eye(self.size)
+    def _absorbing(self) -> _Absorbing:
+        places = [np.zeros(0, dtype=np.intp)]
+        in_file = [np.zeros((self.size, 0))]
         for part, where in zip(self.parts, self.where, strict=True):
             if part.absorbed_by_file:
-                U[:, where] += self.in_file(part)
-        return U
+                places.append(np.arange(where.start, where.stop))
+                in_file.append(self.in_file(part))
+        return _Absorbing(places=np.concatenate(places), in_file=np.hstack(in_file))
 
     @property
     def held(self) -> Array:
         """Parameters (p,) that are held to the file: with what it has absorbed."""
-        return np.asarray(self.lift @ self.theta)
+        places, in_file = self._absorbing
+        return np.asarray(self.theta + in_file @ self.theta[places])
 
-    def _coupled(self, held_precision: Array) -> Array:
-        """Return the precision (p, p) of the parameters from that of what is held."""
-        if not any(part.absorbed_by_file for part in self.parts):
-            return held_precision
-        return np.asarray(self.lift.T @ held_precision @ self.lift)
+    @property
+    def held_covariance(self) -> Array:
+        """Covariance (p, p) of `held`."""
+        places, in_file = self._absorbing
+        one_side = self.covariance + in_file @ self.covariance[places]
+        return np.asarray(one_side + one_side[:, places] @ in_file.T)
+
+    def _felt(self, right: Array) -> Array:
+        """Return what the parameters feel of columns (p, m) that what is held feels."""
+        places, in_file = self._absorbing
+        result = right.copy()
+        result[places] += in_file.T @ right
+        return result
+
+    def _prior(self, *, file: bool = True) -> Array:
+        """Return the precision (p, p) of all parameters, with or without the file's."""
+        P = np.zeros((self.size, self.size))
+        for where, precision in zip(
+            self.where, self._held_precisions(file=file), strict=True
+        ):
+            P[where, where] = precision
+        places, in_file = self._absorbing
+        if len(places):
+            tied = self._held_times(in_file, file=file)
+            P[:, places] += tied
+            P[places] += tied.T
+            P[np.ix_(places, places)] += in_file.T @ tied
+        return P
 
     @cached_property
     def prior(self) -> Array:
         """Precision P (p, p) of all parameters beforehand."""
-        return self._coupled(self._held_precision())
+        return self._prior()
 
     # ---- the fit
 
@@ -376,25 +425,42 @@ class LinearModel:
     def _scale(self) -> Array:
         return algebra.scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
 
-    def _fit(self, A: Array, b: Array) -> _Solution:
-        factor = algebra.factored((A + self.prior) * np.outer(self._scale, self._scale))
-        return _Solution(factor=factor, theta=self._solved(factor, b))
-
-    def _solved(self, factor: algebra.Factor, right: Array) -> Array:
-        """Return M^-1 right, for a vector (p,) or columns (p, k)."""
-        scale = self._scale[:, None] if right.ndim == 2 else self._scale
-        return np.asarray(cho_solve(factor, right * scale, check_finite=False) * scale)
-
-    def _halved(self, factor: algebra.Factor, right: Array) -> Array:
-        """Return R^-T right (p, k) of a factor R: its square is right' M^-1 right."""
-        scaled = right * self._scale[:, None]
-        return np.asarray(
-            solve_triangular(factor[0], scaled, trans="T", check_finite=False)
+    @cached_property
+    def _layout(self) -> Layout:
+        return Layout.of(
+            self.where,
+            [list(part.columns) for part in self.parts],
+            [not part.absorbed_by_file for part in self.parts],
         )
 
     @cached_property
+    def _places(self) -> list[Place]:
+        """Where the parameters of each channel stand in the parts of M."""
+        return [self._layout.place(columns.index) for columns in self._columns]
+
+    @cached_property
+    def _precision(self) -> Arrow:
+        """The scaled M of all rows."""
+        return self._scaled_precision(self.sums[0] + self.prior)
+
+    def _scaled_precision(self, M: Array) -> Arrow:
+        """Return the parts of M (p, p), scaled in place."""
+        M *= self._scale[:, None]
+        M *= self._scale
+        return self._layout.arrow(M)
+
+    def _fit(self, precision: Arrow, b: Array) -> _Solution:
+        factor = precision.factored()
+        theta = factor.solved((b * self._scale)[:, None])[:, 0] * self._scale
+        return _Solution(factor=factor, theta=theta)
+
+    def _halved(self, factor: ArrowFactor, right: Array) -> Array:
+        """Return R^-1 right (p, k) of a root R: its square is right' M^-1 right."""
+        return factor.halved(right * self._scale[:, None])
+
+    @cached_property
     def _all_rows(self) -> _Solution:
-        return self._fit(*self.sums)
+        return self._fit(self._precision, self.sums[1])
 
     @cached_property
     def _without_block(self) -> list[_WithoutBlock]:
@@ -408,7 +474,8 @@ class LinearModel:
 
     def _without_rows(self, log: int, rows: Sequence[slice]) -> _WithoutBlock:
         """Return the fit without some rows of every channel, all of one log."""
-        A, b = (total.copy() for total in self.sums)
+        precision = self._precision.copy()
+        b = self.sums[1].copy()
         eliminated: dict[int, _Eliminated] = {}
         for channel, at in enumerate(rows):
             if at.stop == at.start:
@@ -416,28 +483,34 @@ class LinearModel:
             columns = self._columns[channel]
             base, own_columns = self._scaled(channel, at)
             y = self._scaled_y[channel][at]
-            square = np.ix_(columns.index, columns.index)
-            A[square] -= base.T @ base
+            change = -(base.T @ base)
             b[columns.index] -= base.T @ y
 
             own = self._own[channel]
-            if own is None or columns.of_log is None:
-                continue
-            products = own.products[log] - self._own_products(base, own_columns, y)
-            others = _OwnColumns.of(products[None], columns.of_log.precision).of_log(0)
-            of_log = own.of_log(log)
-            A[square] += of_log.base.T @ of_log.base - others.base.T @ others.base
-            b[columns.index] += of_log.base.T @ of_log.y - others.base.T @ others.y
-            eliminated[channel] = others
-        return _WithoutBlock(self._fit(A, b), eliminated)
+            if own is not None and columns.of_log is not None:
+                products = own.products[log] - self._own_products(base, own_columns, y)
+                others = _OwnColumns.of(products[None], columns.of_log.precision)
+                without = others.of_log(0)
+                of_log = own.of_log(log)
+                change += of_log.base.T @ of_log.base - without.base.T @ without.base
+                b[columns.index] += of_log.base.T @ of_log.y
+                b[columns.index] -= without.base.T @ without.y
+                eliminated[channel] = without
+            self._change(precision, channel, change)
+        return _WithoutBlock(self._fit(precision, b), eliminated)
+
+    def _change(self, precision: Arrow, channel: int, change: Array) -> None:
+        """Change the scaled M by products (p_c, p_c) of one channel."""
+        scale = self._scale[self._columns[channel].index]
+        change *= scale[:, None]
+        change *= scale
+        precision.add(self._places[channel], change)
 
     @cached_property
     def _without_file(self) -> _Solution:
         """Solution without what the parameter file says."""
         A, b = self.sums
-        # `_fit` adds the prior with the file, which is taken off here.
-        prior_without_file = self._coupled(self._held_precision(file=False))
-        return self._fit(A + prior_without_file - self.prior, b)
+        return self._fit(self._scaled_precision(A + self._prior(file=False)), b)
 
     @property
     def theta(self) -> Array:
@@ -447,7 +520,8 @@ class LinearModel:
     @cached_property
     def covariance(self) -> Array:
         """Covariance (p, p) of `theta`."""
-        return self._solved(self._all_rows.factor, np.eye(self.size))
+        unit = np.diag(self._scale)
+        return self._all_rows.factor.solved(unit) * self._scale[:, None]
 
     def _place_of(self, part: ColumnGroup) -> slice:
         return next(
@@ -466,14 +540,15 @@ class LinearModel:
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._all_rows
-        scaled = self._held_precision() * np.outer(self._scale, self._scale)
-        prior_log_det = sum(
-            algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where
-        )
+        prior_log_det = 0.0
+        for at, precision in zip(self.where, self._held_precisions(), strict=True):
+            scale = self._scale[at]
+            scaled = precision * np.outer(scale, scale)
+            prior_log_det += algebra.half_log_det(algebra.factored(scaled))
         square = sum(float(y @ y) for y in self._scaled_y)
         explained = float(self.sums[1] @ theta) + self._explained_by_logs
         worth = 0.5 * (explained - square) - self._half_log_det_of_logs
-        return worth - algebra.half_log_det(factor) + prior_log_det
+        return worth - factor.half_log_det + prior_log_det
 
     @property
     def _explained_by_logs(self) -> float:
@@ -548,19 +623,21 @@ class LinearModel:
 
     def _without_logs(self, logs: Index) -> _Solution:
         """Return the fit without the rows of some logs."""
-        A, b = (total.copy() for total in self.sums)
+        precision = self._precision.copy()
+        b = self.sums[1].copy()
         for channel, columns in enumerate(self._columns):
-            square = np.ix_(columns.index, columns.index)
             own = self._own[channel]
+            change = np.zeros((len(columns.index), len(columns.index)))
             for log in logs:
                 at = self.rows.log_slices[channel][log]
                 base, _ = self._scaled(channel, at)
-                A[square] -= base.T @ base
+                change -= base.T @ base
                 b[columns.index] -= base.T @ self._scaled_y[channel][at]
                 if own is not None:
-                    A[square] += own.base[log].T @ own.base[log]
+                    change += own.base[log].T @ own.base[log]
                     b[columns.index] += own.base[log].T @ own.y[log]
-        return self._fit(A, b)
+            self._change(precision, channel, change)
+        return self._fit(precision, b)
 
     def torque_beside_file(self, part: ColumnGroup, channel: int) -> Array:
         """Return the torque (M_c,) N m of a group less what the file has absorbed."""
@@ -604,11 +681,13 @@ class LinearModel:
 
     def _fit_and_score_of(self, part: ColumnGroup) -> tuple[TermFit, Score]:
         at = self._place_of(part)
-        unit = np.eye(self.size)[:, at]
+        unit = np.zeros((self.size, part.size))
+        unit[at] = np.eye(part.size)
 
         def estimate(solution: _Solution) -> tuple[Array, Array]:
             """Return coefficients (k,) and their covariance (k, k)."""
-            return solution.theta[at], self._solved(solution.factor, unit)[at]
+            half = self._halved(solution.factor, unit)
+            return solution.theta[at], half.T @ half
 
         def log_bayes_factor(solution: _Solution) -> float:
             a, S = estimate(solution)
@@ -744,12 +823,12 @@ class LinearModel:
             return _Products(C=C, D=D)
 
         R = np.hstack([self.in_file(term) for term in crossed.terms])
-        PR = self._held_precision(file=file) @ R
+        PR = self._held_times(R, file=file)
         D_coupled = [
             of_term + R[:, at].T @ PR[:, at]
             for of_term, at in zip(D, crossed.where, strict=True)
         ]
-        return _Products(C=C + self.lift.T @ PR, D=D_coupled)
+        return _Products(C=C + self._felt(PR), D=D_coupled)
 
     def _fits_beside(
         self, solution: _Solution, crossed: _Crossed, products: _Products

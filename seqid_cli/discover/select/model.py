@@ -678,7 +678,7 @@ class PriorUpdate:
 
     def __init__(self, linear: LinearModel) -> None:
         self.theta = linear.held
-        self.covariance = linear.lift @ linear.covariance @ linear.lift.T
+        self.covariance = linear.held_covariance
         self._rows_diagonal = np.diag(linear.sums[0])
 
     def evidence_gain(self, at: slice, before: Array, after: Array) -> float:

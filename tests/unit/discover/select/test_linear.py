@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from seqid_cli.discover.select import arrow
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import PriorUpdate
 from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
 from tests import Array
+
+@pytest.fixture(autouse=True, params=[2, 24], ids=["own roots", "one root"])
+def fewest(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Groups so small have roots of their own, or none has."""
+    monkeypatch.setattr(arrow, "FEWEST", request.param)
+
 
 BLOCKS = 4
 LENGTHS = (24, 17)  # rows of two channels

@@ -71,11 +71,102 @@ class Reversal:
             shrinkage=1.0 - 1.0 / np.sqrt(1.0 + s**2),
         )
 
+
+@dataclass(frozen=True)
+class _Layer:
+    """Reversals that share no row: in which order these are whitened is no matter.
+
+    Attributes
+    ----------
+    rows : (R, m) index array
+        The rows of each, some before and after those that it is felt in.
+    directions : (R, m, k) array
+        Its directions, zero where there are fewer rows or directions.
+    shrinkage : (R, k) array
+        Its shares.
+    """
+
+    rows: Index
+    directions: Array
+    shrinkage: Array
+
+    @classmethod
+    def of(cls, members: Sequence[tuple[Reversal, int]], window: int) -> _Layer:
+        """Put reversals side by side, each with the start of its window of rows."""
+        n_directions = max(len(reversal.shrinkage) for reversal, _ in members)
+        directions = np.zeros((len(members), window, n_directions))
+        shrinkage = np.zeros((len(members), n_directions))
+        for number, (reversal, start) in enumerate(members):
+            m, k = reversal.directions.shape
+            first = reversal.first - start
+            directions[number, first : first + m, :k] = reversal.directions
+            shrinkage[number, :k] = reversal.shrinkage
+        starts = np.array([start for _, start in members])
+        rows = starts[:, None] + np.arange(window)
+        return cls(rows=rows, directions=directions, shrinkage=shrinkage)
+
     def whiten(self, values: Array) -> None:
-        """Whiten values (M_j, k) in place."""
-        rows = values[self.first : self.first + len(self.directions)]
-        along = self.directions.T @ rows
-        rows -= self.directions @ (self.shrinkage[:, None] * along)
+        """Whiten values (M_j, c) in place."""
+        part = values[self.rows]
+        along = np.swapaxes(self.directions, 1, 2) @ part
+        along *= self.shrinkage[:, :, None]
+        part -= self.directions @ along
+        values[self.rows] = part
+
+
+def _window(length: int) -> int:
+    """Return the next power of two: reversals of about one length lie side by side."""
+    return 1 << max(length - 1, 0).bit_length()
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """All reversals of a joint, those that share no row together.
+
+    A call for each of them takes longer than what it has to do.
+
+    Attributes
+    ----------
+    layers : tuple of _Layer
+        To be whitened one after the other.
+    """
+
+    layers: tuple[_Layer, ...]
+
+    @classmethod
+    def of(cls, reversals: Sequence[Reversal], n_rows: int) -> Whitening:
+        """Arrange reversals, which are in the order of time, of a joint's rows.
+
+        Parameters
+        ----------
+        reversals : sequence of Reversal
+            Counted in the joint's rows.
+        n_rows : int
+            Number of these.
+        """
+        # A reversal comes after all that share a row with its window: so each row is
+        # whitened in the order of time.
+        reached = np.zeros(n_rows, dtype=np.intp)
+        members: dict[tuple[int, int], list[tuple[Reversal, int]]] = {}
+        for reversal in reversals:
+            window = min(_window(len(reversal.directions)), n_rows)
+            start = min(reversal.first, n_rows - window)
+            at = slice(start, start + window)
+            level = int(reached[at].max(initial=0)) + 1
+            reached[at] = level
+            members.setdefault((level, window), []).append((reversal, start))
+        layers = [
+            _Layer.of(of_layer, window)
+            for (_, window), of_layer in sorted(
+                members.items(), key=lambda item: item[0]
+            )
+        ]
+        return cls(layers=tuple(layers))
+
+    def whiten(self, values: Array) -> None:
+        """Whiten values (M_j, c) in place."""
+        for layer in self.layers:
+            layer.whiten(values)
 
 
 class Pulses(NamedTuple):

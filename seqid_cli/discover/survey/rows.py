@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.survey.reversals import Reversal, reversals_of
+from seqid_cli.discover.survey.reversals import Reversal, Whitening, reversals_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.model.torque import REACH
 from seqid_cli.motion.motion import Motion
@@ -157,16 +157,19 @@ class Rows:
         result = np.array(values, dtype=np.float64)
         n_columns = math.prod(result.shape[1:])
         side_by_side = result.reshape(len(result), n_columns)  # a view of the result
-        for reversal in self._reversals[joint]:
-            reversal.whiten(side_by_side)
+        self._whitenings[joint].whiten(side_by_side)
         return result
 
     @cached_property
-    def _reversals(self) -> list[list[Reversal]]:
-        """Reversals of each joint, counted in its rows over all data sets."""
-        return [self._reversals_of(joint) for joint in range(self.n)]
+    def _whitenings(self) -> list[Whitening]:
+        """What whitens each joint's rows."""
+        return [
+            Whitening.of(self._reversals_of(joint), self.count(joint))
+            for joint in range(self.n)
+        ]
 
     def _reversals_of(self, joint: int) -> list[Reversal]:
+        """Return a joint's reversals, counted in its rows over all data sets."""
         reversals: list[Reversal] = []
         first_row = 0
         for scene, samples, used in zip(
@@ -201,9 +204,16 @@ class Rows:
             stride = stride_of(motion)
             kept_rows = self.samples[number] // stride
             used = self.used[number]
-            for joint, values in columns.items():
-                low = motion.filtered(values, passes, every=stride)[kept_rows]
-                rows.setdefault(joint, []).append(low[used[:, joint]])
+            if not columns:
+                continue
+            # All in one go: of a short log each call would cost more than it has to do.
+            together = np.hstack(list(columns.values()))
+            low = motion.filtered(together, passes, every=stride)[kept_rows]
+            ends = np.cumsum([values.shape[1] for values in columns.values()])
+            for joint, of_joint in zip(
+                columns, np.split(low, ends[:-1], axis=1), strict=True
+            ):
+                rows.setdefault(joint, []).append(of_joint[used[:, joint]])
         return {
             joint: self.whitened(joint, np.concatenate(values))
             for joint, values in rows.items()

@@ -32,6 +32,7 @@ from seqid_cli.typing import Array, Index, Mask
 ORDER = 4  # of one pass
 SHORTEST = 8  # samples of a run that is filtered at all
 NEGLIGIBLE = 1e-14
+SHORT_RUN = 4.0  # pieces, up to which a run's pieces are fitted to its length
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,10 @@ class Lowpass:
         prolonged signal is prolonged in the same way, so that passes at once are passes
         one by one.
         """
-        response = _response(self, times, every)
         samples = rows.shape[1]
+        response = _response(self, times, every)
+        if samples <= SHORT_RUN * (response.size - 2 * response.reach):
+            response = _response(self, times, every, samples)
         reach = response.reach
         if samples <= reach:
             margins = ((0, 0), (reach, reach))
@@ -178,6 +181,9 @@ def single(values: Array) -> Array:
 class _Response:
     """Gain of some passes, for pieces of `longer` reaches and `least` samples or more.
 
+    A short run has pieces of one length: the end of it would else be a piece of a few
+    samples, for which the transform is as long as for any other.
+
     Attributes
     ----------
     every : int
@@ -195,6 +201,7 @@ class _Response:
         lowpass: Lowpass,
         times: int,
         every: int,
+        run: int | None = None,
         *,
         longer: int = 8,
         least: int = 512,
@@ -203,8 +210,11 @@ class _Response:
         half = len(h) // 2
         self.every = every
         self.reach = -(-times * half // every) * every
-        wanted = -(-(longer * self.reach + least) // every)
-        self.size = every * next_fast_len(wanted, real=True)
+        wanted = longer * self.reach + least
+        if run is not None:
+            pieces = max(1, round(run / (wanted - 2 * self.reach)))
+            wanted = -(-run // pieces) + 2 * self.reach
+        self.size = every * next_fast_len(-(-wanted // every), real=True)
 
         # The middle of h at sample 0, so that the phase is zero.
         padded = np.zeros(self.size)
@@ -248,4 +258,4 @@ def impulse_response(lowpass: Lowpass) -> Array:
     return np.asarray(symmetric / symmetric.sum())
 
 
-_response = lru_cache(maxsize=64)(_Response)
+_response = lru_cache(maxsize=256)(_Response)

@@ -155,3 +155,18 @@ def test_derivatives_do_not_reach_across_a_gap() -> None:
     )
     np.testing.assert_allclose(jumped, plain, atol=1e-6)
     assert not jumped[:, 100].any()
+
+
+@pytest.mark.parametrize("samples", [40, 900, 2000, 3100, 5000, 12000])
+@pytest.mark.parametrize("every", [1, 4])
+def test_pieces_of_any_length_give_the_same(samples: int, every: int) -> None:
+    """A run is filtered alike whatever follows it, in pieces of its own or of a long
+    log.
+    """
+    lowpass = Lowpass(27.0, RATE)
+    x = np.random.default_rng(samples).standard_normal((30_000, 1))
+    valid = np.arange(len(x)) != samples  # a run of so many samples, and a long one
+    filtered = lowpass(x, valid, times=2, every=every)[: -(-samples // every)]
+    for _ in range(2):
+        x = convolved(x, lowpass, valid)
+    np.testing.assert_allclose(filtered, x[:samples:every], atol=1e-11)

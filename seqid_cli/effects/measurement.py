@@ -82,11 +82,11 @@ class OfModelledTorque(Effect):
 
         joints = touched(scene.robot, joint)
 
-        def law_of_torque(tau: Array) -> Array:
+        def law_of_torque(tau: Array, torque_name: str) -> Array:
             values = {"tau": tau}
             for name, memory in law.memories.items():
                 if isinstance(memory, AsLogged):
-                    values[name] = memory.of_joints(tau, scene, joints)
+                    values[name] = memory.kept(tau, torque_name, scene, joints)
                     continue
                 assert isinstance(memory, OfSeries)
                 values[name] = memory.of_series(tau, scene.motion)
@@ -122,11 +122,12 @@ def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
 
 
 def of_modelled(
-    scene: Scene, joint: Joint, function: Callable[[Array], Array]
+    scene: Scene, joint: Joint, function: Callable[[Array, str], Array]
 ) -> Columns:
     """Compute columns function(tau) of the model's torque, ready for one more low-pass.
 
-    The load is measured where a torque sensor does that, else modelled.
+    The load is measured where a torque sensor does that, else modelled. The function
+    gets the name of a torque as well: what follows from it alone may be kept.
     """
     joints = touched(scene.robot, joint)
     carried = scene.carried[:, joints]
@@ -134,7 +135,8 @@ def of_modelled(
     # Rigid torque comes from motion that was low-passed once, friction has steps. What
     # friction adds to the column is low-passed once here, so that one pass more treats
     # both like measured torque.
-    of_carried = function(carried)
-    by_friction = function(carried + scene.friction[:, joints]) - of_carried
+    of_carried = function(carried, "carried")
+    modelled = carried + scene.friction[:, joints]
+    by_friction = function(modelled, "modelled") - of_carried
     column = of_carried + scene.motion.filtered(by_friction)
     return {j: column[:, [k]] for k, j in enumerate(joints)}

@@ -135,6 +135,21 @@ class AsLogged:
                 )
         return late
 
+    def kept(
+        self, torque: Array, name: str, scene: Scene, joints: Sequence[int]
+    ) -> Array:
+        """Return late torques (N, k) of k joints, which the scene keeps by their name.
+
+        Settings of an effect make no difference to them.
+        """
+        late = []
+        for k, joint in enumerate(joints):
+            key = (f"{name} torque as logged", joint)
+            if key not in scene.memo:
+                scene.memo[key] = (self.of_joints(torque[:, [k]], scene, [joint]),)
+            late.append(scene.memo[key][0])
+        return np.hstack(late)
+
 
 @dataclass(frozen=True)
 class Averaged(_OfTorque):

@@ -81,6 +81,8 @@ class InertiaEquations:
         self.basis = free_basis(robot)
         self.nuisances = NuisanceColumns(self.basis.size, robot.n)
         self.coupling_place = self.nuisances.size
+        # Most logs have one cut-off, so that one other is asked for again and again.
+        self._at_cutoff: dict[float, InertiaEquations] = {}
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
@@ -192,11 +194,19 @@ class InertiaEquations:
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """Return the same equations at another cut-off, to be compared with."""
-        motion = replace(
-            self.options.motion, cutoff_hz=cutoff_hz, logs_with_own_cutoff=frozenset()
-        )
-        options = replace(self.options, motion=motion)
-        return InertiaEquations(self.robot, self.stages, options, only_compares=True)
+        if cutoff_hz not in self._at_cutoff:
+            motion = replace(
+                self.options.motion,
+                cutoff_hz=cutoff_hz,
+                logs_with_own_cutoff=frozenset(),
+            )
+            self._at_cutoff[cutoff_hz] = InertiaEquations(
+                self.robot,
+                self.stages,
+                replace(self.options, motion=motion),
+                only_compares=True,
+            )
+        return self._at_cutoff[cutoff_hz]
 
     def _right_side(self, motion: Motion, drive: DriveColumns) -> Array:
         """Return the torque (N, n) N m without friction and known rotors, filtered.

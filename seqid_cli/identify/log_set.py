@@ -40,16 +40,18 @@ class LogSet:
     what is `left_out` are complete afterwards. Warnings come as the logs are read. Of
     logs with the same content the first counts. `logs`: a recording is taken as it is,
     without checks. `time_source` {"header", "log"}: which stamps of an MCAP log count.
-    `imus`: whether the readings of IMUs are used, and hence checked. `skip_failed`:
-    whether logs that cannot be used are left out. `executor`: who reads and reduces the
-    logs; None does it here. `left_out`: what was left out before. `robot_remarks`: what
-    is to be said of the robot in these logs.
+    `imus`: whether the readings of IMUs are used, and hence checked. `checks`: whether
+    logs that are held are checked; those that a parameter file names were, by the stage
+    that was made of them. `skip_failed`: whether logs that cannot be used are left out.
+    `executor`: who reads and reduces the logs; None does it here. `left_out`: what was
+    left out before. `robot_remarks`: what is to be said of the robot in these logs.
     """
 
     logs: Sequence[Path | Recording]
     robot: Robot
     time_source: TimeSource = "header"
     imus: bool = True
+    checks: bool = True
     skip_failed: bool = False
     executor: Executor | None = None
     on_progress: Callable[[Progress], None] | None = None
@@ -186,6 +188,7 @@ class LogSet:
             part=part,
             pass_over_from=pass_over_from,
             imus=self.imus,
+            checks=self.checks,
             folder=Path.cwd(),
         )
         items = list(enumerate(self.logs))
@@ -333,6 +336,7 @@ class _Task(Generic[P]):
     part: PartOf[Any, P]
     pass_over_from: int | None
     imus: bool
+    checks: bool
     folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
@@ -349,6 +353,7 @@ class _Task(Generic[P]):
                 self.robot,
                 time_source=self.time_source,
                 imus=self.imus,
+                checks=self.checks,
                 pass_over_from=self.pass_over_from,
             )
             log = replace(opened.log, path=source)

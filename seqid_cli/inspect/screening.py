@@ -116,6 +116,7 @@ def open_screened(
     *,
     time_source: TimeSource = "header",
     imus: bool = True,
+    checks: bool = True,
     pass_over_from: int | None = None,
 ) -> Opened:
     """Open and check a log, as every stage does.
@@ -130,6 +131,9 @@ def open_screened(
         Which stamps of an MCAP log count.
     imus : bool
         Whether its IMUs are used, and hence checked, where it is held.
+    checks : bool
+        Whether it is checked where it is held. Damaged samples are taken out in any
+        case.
     pass_over_from : int, optional
         Samples from which on a log is passed over where it can be; None holds all.
     """
@@ -137,6 +141,9 @@ def open_screened(
         long = open_if_long(path, robot, time_source=time_source, least=pass_over_from)
         if long is not None:
             return Opened(*screened_long(long, robot))
+    if not checks:
+        recording, raw = read_both(path, robot, time_source=time_source)
+        return Opened(sound(recording, raw, robot), ())
     return Opened(*read_screened(path, robot, time_source=time_source, imus=imus))
 
 

@@ -145,6 +145,11 @@ class Investigation:
         return self.selection.model.ground
 
     @property
+    def has_all_rows(self) -> bool:
+        """Whether the model was fitted to all rows that the file sees."""
+        return _is_same(self.ground.stage.rows, self.file_residual.rows)
+
+    @property
     def file_rms(self) -> Array:
         """RMS (n,) N m of the file's own residual, on all rows that it sees."""
         return self.file_residual.rms

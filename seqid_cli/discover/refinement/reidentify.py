@@ -186,6 +186,10 @@ class RefinementData:
         self._grounds[:] = [latest, *earlier[:1]]
         return latest.problem
 
+    def keep(self, model: Refitted, problem: SelectionProblem) -> None:
+        """Keep the problem of the training logs beside a model for later."""
+        self._grounds[:] = [_Ground(model.stages, model.smooth_terms, problem)]
+
     def without(
         self, log: Recording, stages: Stages, effects: Sequence[Fitted]
     ) -> Recording:

@@ -121,7 +121,7 @@ def refine(
     )
     selection = investigation.selection
     if selection.effects or (options.with_unexplained and selection.smooth):
-        loop.material = _material_to_fit(material, investigation)
+        loop.material = _material_to_fit(material, investigation, incoming_model)
         investigation = _add_effects(loop, investigation)
         if options.with_unexplained:
             _add_smooth(loop, investigation)
@@ -133,11 +133,12 @@ def refine(
 
 
 def _material_to_fit(
-    material: RefinementData, investigation: Investigation
+    material: RefinementData, investigation: Investigation, incoming_model: Refitted
 ) -> RefinementData:
     """Return what the model is fitted to.
 
-    It is without events, and by encoders alone if no log needs more.
+    It is without events, and by encoders alone if no log needs more. Rows and columns
+    of the investigation are those of the first fit, where nothing was taken out.
     """
     options = material.options
     uses_encoders_alone = all(
@@ -149,7 +150,12 @@ def _material_to_fit(
     training = material.training
     if investigation.events:
         training = quiet(training, investigation.events)
-    return replace(material, training=training, options=options)
+    to_fit = replace(material, training=training, options=options)
+    # The logs were investigated without the effects that the file has.
+    is_as_logged = not (incoming_model.effects or investigation.events)
+    if is_as_logged and investigation.has_all_rows:
+        to_fit.keep(incoming_model, investigation.ground)
+    return to_fit
 
 
 def on_the_same_samples(

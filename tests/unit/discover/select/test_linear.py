@@ -12,6 +12,7 @@ from seqid_cli.discover.select.model import PriorUpdate
 from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
 from tests import Array
 
+
 @pytest.fixture(autouse=True, params=[2, 24], ids=["own roots", "one root"])
 def fewest(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Groups so small have roots of their own, or none has."""

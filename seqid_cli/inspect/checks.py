@@ -12,6 +12,7 @@ from msgspec import structs
 from seqid_cli.inspect.channels import clock, positions, torques
 from seqid_cli.inspect.channels.positions import Break
 from seqid_cli.inspect.channels.velocities import velocity_findings
+from seqid_cli.inspect.dynamics.angles import unit_by_equations
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
 from seqid_cli.inspect.findings import finding_of, grouped
@@ -31,6 +32,10 @@ SPOIL: Codes = frozenset(
     {
         "position_in_degrees",
         "position_in_mm",
+        "position_in_turns",
+        "position_in_counts",
+        "position_in_percent",
+        "position_scale",
         "position_motor_side",
         "position_jump",
         "position_stuck",
@@ -43,21 +48,36 @@ SPOIL: Codes = frozenset(
         "axis_flipped",
         "position_zero",
         "current_in_ma",
+        "gear_inverse",
         "values_absurd",
     }
 )
+# Units of angles, of which the equations know more than the sizes of positions.
+ANGLE_UNITS: Codes = frozenset(
+    {"position_in_degrees", "position_in_turns", "position_in_counts"}
+)
 # Findings that spoil it for all joints.
 SPOIL_ALL: Codes = frozenset(
-    {"time_unit", "clock_set_back", "stamps_far_off", "drive_data_missing"}
+    {
+        "time_unit",
+        "time_scale",
+        "clock_set_back",
+        "stamps_far_off",
+        "drive_data_missing",
+    }
 )
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Findings that are left out at a joint where one of the causes explains them."""
+    """Findings that are left out at a joint where one of the causes explains them.
+
+    Those with a cause that is found `anywhere` are left out at all joints.
+    """
 
     causes: Codes
     explained: Codes
+    anywhere: bool = False
 
 
 _EXPLANATIONS = (
@@ -66,6 +86,9 @@ _EXPLANATIONS = (
             {
                 "position_in_degrees",
                 "position_in_mm",
+                "position_in_turns",
+                "position_in_counts",
+                "position_in_percent",
                 "position_motor_side",
                 "joints_swapped",
             }
@@ -86,6 +109,13 @@ _EXPLANATIONS = (
     Explanation(
         causes=frozenset({"torque_echo"}),
         explained=frozenset({"torque_saturated", "torque_quantised", "torque_stuck"}),
+    ),
+    Explanation(
+        causes=frozenset(
+            {"current_in_ma", "effort_is_current", "effort_is_torque", "torque_scale"}
+        ),
+        explained=frozenset({"torque_limit"}),
+        anywhere=True,
     ),
     Explanation(
         causes=frozenset({"gyro_in_degrees"}), explained=frozenset({"gyro_bias"})
@@ -142,7 +172,7 @@ def check(
         findings += _of_positions(data, breaks, quality=quality)
 
     # Channels against each other.
-    findings = _unexplained(findings)
+    findings = _measured_unit(sound, _unexplained(findings))
     if not _all_spoilt(findings):
         findings += _of_dynamics(sound, findings, link_fits)
     groups = grouped(_unexplained(findings))
@@ -185,7 +215,7 @@ def _of_positions(
     findings = [*velocity_findings(data, spoilt)]
     if not _all_spoilt(findings):
         findings += of_positions
-        findings += positions.fast_in_degrees(data)
+        findings += positions.too_fast(data)
     if quality:
         findings += positions.position_quality(data, {f.joint for f in of_positions})
     if data.recording.health.jitter > JITTER_LIMIT:
@@ -224,6 +254,34 @@ def _of_dynamics(
     return of_dynamics
 
 
+def _measured_unit(
+    data: LogData, findings: list[InspectionFinding]
+) -> list[InspectionFinding]:
+    """Let the equations say in which unit all angles are, where limits or speeds do.
+
+    Degrees and percent of a range look alike by their sizes.
+    """
+    spoilt = [finding for finding in findings if finding.code in SPOIL]
+    units = [finding for finding in spoilt if finding.code in ANGLE_UNITS]
+    if not units or len(spoilt) > len(units) or not data.modelled:
+        return findings
+    sample = sample_of(data)
+    if sample is None or not sample.moving:
+        return findings
+    # Of one joint in degrees the equations of all joints say nothing.
+    revolute = {
+        joint.name
+        for j, joint in enumerate(data.robot.joints)
+        if data.moves(j) and not joint.prismatic
+    }
+    if not revolute <= {finding.joint for finding in units}:
+        return findings
+    measured = unit_by_equations(sample)
+    if measured is None:
+        return findings
+    return [*(finding for finding in findings if finding not in units), measured]
+
+
 def _joints_of(findings: Sequence[InspectionFinding]) -> set[str]:
     """Return the names of joints and IMUs that findings are about."""
     return {name for finding in findings for name in finding.joint.split(", ")}
@@ -254,11 +312,16 @@ def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:
         for finding in findings
         for name in finding.joint.split(", ")
     }
+    codes = {finding.code for finding in findings}
 
     def is_explained(finding: InspectionFinding) -> bool:
         return any(
             finding.code in explanation.explained
-            and any((finding.joint, cause) in places for cause in explanation.causes)
+            and any(
+                (finding.joint, cause) in places
+                or (explanation.anywhere and cause in codes)
+                for cause in explanation.causes
+            )
             for explanation in _EXPLANATIONS
         )
 

@@ -26,11 +26,26 @@ ERRORS: Mapping[str, str] = {
         "Look at the driver of the channel; the values were taken as missing."
     ),
     "time_unit": 'Write time_unit = "ms" (or us, ns) under [channels], or log seconds.',
+    "time_scale": (
+        "Use the log as it was recorded first; where velocities are in another unit,"
+        " convert them, or leave them out."
+    ),
     "clock_set_back": "Use --time log, or split the log there.",
     "position_in_degrees": (
         'Write unit = "deg" under [channels] of the robot file, or unit = "percent".'
     ),
     "position_in_mm": 'Write length_unit = "mm" under [channels] of the robot file.',
+    "position_in_turns": 'Write unit = "turn" under [channels] of the robot file.',
+    "position_in_counts": (
+        'Write unit = "count" under [channels], and encoder_resolution at the joints.'
+    ),
+    "position_in_percent": (
+        'Write unit = "percent" under [channels]; position_limits are the range.'
+    ),
+    "position_scale": (
+        "Look up what the driver sends: in percent of the calibrated range, write unit"
+        ' = "percent" under [channels] and that range as position_limits.'
+    ),
     "position_motor_side": "Log the joint's position, or divide by the gear ratio.",
     "position_spikes": "Look at cable and driver of the encoder; remove these samples.",
     "position_jump": (
@@ -64,6 +79,7 @@ ERRORS: Mapping[str, str] = {
     "torque_scale": (
         "Check torque_constant, gear_ratio, unit, and whether gravity is subtracted."
     ),
+    "gear_inverse": "Give gear_ratio as motor turns per joint turn.",
     "sign_mismatch": (
         "Flip the sign of the torque (or of gear_ratio), or of the position."
     ),
@@ -135,6 +151,14 @@ WARNINGS: Mapping[str, str] = {
     "torque_spikes": "Look at driver and cable; remove these samples.",
     "torque_quantised": "Log the current with more bits.",
     "torque_saturated": "Use slower moves, or a measuring range that is large enough.",
+    "scale_or_mass": (
+        "Look up the unit of the torque and torque_constant; if they are right, correct"
+        " the URDF's <inertial>."
+    ),
+    "torque_limit": (
+        "Check the unit of the torque, torque_constant and gear_ratio; if they are"
+        " right, correct the URDF's effort limit."
+    ),
     "zero_or_mass": (
         "Check the encoder's zero; if it is right, correct the URDF's <inertial>."
     ),
@@ -164,7 +188,7 @@ WARNINGS: Mapping[str, str] = {
 }
 
 # Warnings that a stage says too: what it identifies may be used, but is not good.
-USABLE_AT_MOST = frozenset({"zero_or_mass"})
+USABLE_AT_MOST = frozenset({"scale_or_mass", "zero_or_mass"})
 
 
 def finding_of(

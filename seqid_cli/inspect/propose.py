@@ -12,12 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
+from seqid_cli.inspect.dynamics.angles import BY_EQUATIONS
 from seqid_cli.inspect.dynamics.equations import GRAVITY
 from seqid_cli.inspect.guess import Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.inspect.matching import Pairs, matched
 from seqid_cli.inspect.parts import Inspected
-from seqid_cli.inspect.proposed_channels import channels_of, may_be_percent, units_of
+from seqid_cli.inspect.proposed_channels import (
+    MEASURED_DEGREES,
+    channels_of,
+    may_be_percent,
+    units_of,
+)
 from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.tables.naming_schemes import find_scheme
 from seqid_cli.params.results.inspection import InspectedJoint
@@ -100,12 +106,13 @@ def propose(
         """Describe the robot, units as findings of these codes call for."""
         units = units_of(guessed, codes, rate_hz, unit)
         is_open = (
-            "unit" in units
+            ("unit" in units or "position_scale" in codes)
             and unit is None
+            and MEASURED_DEGREES not in codes
             and may_be_percent(contents, guessed, inspected.values())
         )
         if is_open:
-            del units["unit"]
+            units.pop("unit", None)
         joints = [
             _joint(urdf_joint, inspected[log_name], guessed, units)
             for log_name, urdf_joint in log_joints
@@ -169,7 +176,13 @@ def _codes_by(template: RobotTemplate, urdf: UrdfText, log: Path) -> set[str]:
                 hint=finding.remedy,
                 where=str(log),
             )
-    return {finding.code for finding in report.findings}
+    codes = {finding.code for finding in report.findings}
+    if any(
+        finding.code == "position_in_degrees" and BY_EQUATIONS in finding.message
+        for finding in report.findings
+    ):
+        codes.add(MEASURED_DEGREES)
+    return codes
 
 
 def _inspected_joints(reports: Sequence[Inspected]) -> dict[str, InspectedJoint]:

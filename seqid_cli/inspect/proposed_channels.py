@@ -4,6 +4,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 
 from seqid_cli.inspect.guess import Guess
+from seqid_cli.inspect.scales import likely_unit_of_time
 from seqid_cli.logs.contents import LogContents
 from seqid_cli.logs.tables.name_words import WORDS
 from seqid_cli.logs.tables.naming_schemes import (
@@ -14,6 +15,9 @@ from seqid_cli.logs.tables.naming_schemes import (
 )
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.toml_schema import Columns, column_name
+
+# Beside the codes of findings: the equations say that angles are in degrees.
+MEASURED_DEGREES = "measured degrees"
 
 
 def units_of(
@@ -34,13 +38,14 @@ def units_of(
     """
     units = {}
     is_likely_deg = guessed.unit == "deg" or "position_in_degrees" in codes
-    unit = declared or ("deg" if is_likely_deg else "rad")
+    usual = "turn" if "position_in_turns" in codes else "rad"
+    unit = declared or ("deg" if is_likely_deg else usual)
     if unit != "rad":
         units["unit"] = unit
     if guessed.length_unit == "mm":
         units["length_unit"] = "mm"
     if "time_unit" in codes:
-        time_unit = _time_unit(rate_hz)
+        time_unit = likely_unit_of_time(rate_hz)
         if time_unit:
             units["time_unit"] = time_unit
     return units
@@ -59,25 +64,6 @@ def may_be_percent(
     if length == 0 or length > len(contents.joints) or guessed.unit == "deg":
         return False
     return all(max(abs(joint.low), abs(joint.high)) <= 100.0 for joint in joints)
-
-
-def _time_unit(
-    rate_hz: float, *, slowest_hz: float = 5.0, fastest_hz: float = 50_000.0
-) -> str:
-    """Return the unit of times that give a rate as seconds; empty where none fits.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Samples per second, times taken for seconds.
-    slowest_hz, fastest_hz : float
-        Rates at which robots are recorded.
-    """
-    for unit in ("ms", "us", "ns"):
-        rate_hz *= 1000.0
-        if slowest_hz <= rate_hz <= fastest_hz:
-            return unit
-    return ""
 
 
 def channels_of(

@@ -8,12 +8,13 @@ with the motor's speed w = gear_ratio dq [rad/s], k_e = torque_constant in SI un
 [V s/rad = N m/A] and the winding resistance R [ohm].
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from seqid_cli.logs.raw import Array, Stamps
 from seqid_cli.robot.types import Robot
+
+DEGREE = np.pi / 180.0  # rad
+TURN = 2.0 * np.pi  # rad
 
 
 def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
@@ -35,14 +36,16 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
         motor side]; `voltage` and `pwm` have become `current`.
     """
     converted = dict(channels)
-    scale = _position_scale(robot)
-    if (scale.factor != 1.0).any():
+    factor = unit_of_positions(robot)
+    if (factor != 1.0).any():
         for quantity in ("position", "velocity", "link_position"):
             if quantity in converted:
-                converted[quantity] = converted[quantity] * scale.factor
+                converted[quantity] = converted[quantity] * factor
+    if robot.channels.unit == "percent":
+        middle = _middle_of_range(robot)
         for quantity in ("position", "link_position"):
             if quantity in converted:
-                converted[quantity] = converted[quantity] + scale.middle
+                converted[quantity] = converted[quantity] + middle
 
     if robot.channels.effort == "gravity_compensated" and "torque" in converted:
         gravity_torque = _gravity_of_driver(converted["position"], robot)
@@ -57,25 +60,34 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
     return converted
 
 
-class _Scale(NamedTuple):
-    """What positions in a log are times, and where they are counted from."""
+def unit_of_positions(robot: Robot) -> Array:
+    """Return what one unit of the log's positions is (n,) rad or m, by the robot file.
 
-    factor: Array  # (n,) rad, m
-    middle: Array  # (n,) rad, m
-
-
-def _position_scale(robot: Robot) -> _Scale:
-    """Return the scale of positions as the units of the robot file say."""
-    middle = np.zeros(robot.n)
-    if robot.channels.unit == "percent":
-        # The file is checked to have limits.
-        limits = np.array([joint.position_limits for joint in robot.joints], np.float64)
-        half_range = 0.5 * (limits[:, 1] - limits[:, 0])
-        return _Scale(factor=half_range / 100.0, middle=limits.mean(axis=1))
-    angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
+    The file is checked to have what a unit rests on.
+    """
+    unit = robot.channels.unit
+    if unit == "percent":
+        return percent_of_range(robot)
+    if unit == "count":
+        return _drive_constants(robot, "encoder_resolution")
     length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
-    factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
-    return _Scale(factor=factor, middle=middle)
+    angle = {"deg": DEGREE, "turn": TURN}.get(unit, 1.0)
+    return np.array([length if joint.prismatic else angle for joint in robot.joints])
+
+
+def percent_of_range(robot: Robot) -> Array:
+    """Return a percent of half the range of each joint (n,) rad, m; NaN without limits.
+
+    Such a unit counts from -100 to 100 over the range that was calibrated.
+    """
+    limits = [joint.position_limits or (np.nan, np.nan) for joint in robot.joints]
+    return np.array([0.005 * (high - low) for low, high in limits])
+
+
+def _middle_of_range(robot: Robot) -> Array:
+    """Return the middle of each joint's range (n,) rad, m; NaN without limits."""
+    limits = [joint.position_limits or (np.nan, np.nan) for joint in robot.joints]
+    return np.array([0.5 * (low + high) for low, high in limits])
 
 
 def _gravity_of_driver(q: Array, robot: Robot) -> Array:

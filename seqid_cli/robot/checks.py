@@ -75,6 +75,11 @@ _NEEDED = {
     "voltage": ("torque_constant", "winding_resistance"),
     "pwm": ("torque_constant", "winding_resistance", "supply_voltage"),
 }
+# What the unit of positions rests on.
+_UNIT_DATA = {
+    "encoder_resolution": "Give the positions [rad] of one count, at the joint.",
+    "position_limits": "Give the positions [rad] at which the log has -100 and 100.",
+}
 _WORD = re.compile(r"[a-z][a-z0-9_]{0,40}")
 
 
@@ -129,6 +134,7 @@ def problems(robot: RobotFile) -> Iterator[Problem]:
         yield from _effect(f"effect[{k}]", effect, joints)
     yield from _channels(robot)
     yield from _missing_drive_data(robot)
+    yield from _missing_unit_data(robot)
 
 
 def _text(key: str, value: str) -> Iterator[Problem]:
@@ -292,8 +298,6 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
         )
     if channels.interface is not None:
         yield from _interface(channels.interface)
-    if channels.unit == "percent":
-        yield from _percent(robot)
     for quantity in channels.__struct_fields__:
         key = f"channels.{quantity}"
         names = getattr(channels, quantity)
@@ -309,17 +313,6 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
             yield Problem(
                 f"{key} names {n_different} columns for {len(robot.joint)} joints",
                 "List one column for each joint, in the order of the [[joint]] tables.",
-            )
-
-
-def _percent(robot: RobotFile) -> Iterator[Problem]:
-    """Yield joints without the limits that positions in percent are of."""
-    for k, joint in enumerate(robot.joint):
-        if joint.position_limits is None:
-            yield Problem(
-                "channels.unit is 'percent', but"
-                f" joint[{k}].position_limits (joint {joint.name!r}) is missing",
-                "Give the positions [rad] at which the log has -100 and 100.",
             )
 
 
@@ -376,3 +369,18 @@ def _missing_drive_data(robot: RobotFile) -> Iterator[Problem]:
                     f" (joint {joint.name!r}) is missing",
                     f"Add {name} and gear_ratio to that joint. {_MEANINGS[name]}",
                 )
+
+
+def _missing_unit_data(robot: RobotFile) -> Iterator[Problem]:
+    """Yield joints without what the unit of their positions rests on."""
+    unit = robot.channels.unit
+    name = {"count": "encoder_resolution", "percent": "position_limits"}.get(unit)
+    if name is None:
+        return
+    for k, joint in enumerate(robot.joint):
+        if getattr(joint, name) is None:
+            yield Problem(
+                f"channels.unit is {unit!r}, but joint[{k}].{name} (joint"
+                f" {joint.name!r}) is missing",
+                _UNIT_DATA[name],
+            )

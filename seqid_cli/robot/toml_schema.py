@@ -187,10 +187,11 @@ class Channels(Table, frozen=True):
         Meta(description="what the effort of a JointState is"),
     ] = None
     unit: Annotated[
-        Literal["rad", "deg", "percent"],
+        Literal["rad", "deg", "turn", "count", "percent"],
         Meta(
-            description="unit of positions and speeds; 'percent' where -100 and 100 are"
-            " the ends of position_limits, as LeRobot may log it"
+            description="unit of positions and speeds; 'count': of encoder_resolution,"
+            " 'percent': -100 and 100 are the ends of position_limits, as LeRobot may"
+            " log it"
         ),
     ] = "rad"
     length_unit: Annotated[

@@ -471,7 +471,7 @@ def test_percent_and_degrees_are_asked_for_where_nothing_tells(start: Start) -> 
     assert "to do: whether positions are in degrees or in percent of the range" in said
     assert "unit" not in start.document["channels"]
     errors = {finding["code"] for finding in start.findings("set", "-r", "new.toml")}
-    assert "position_in_degrees" in errors  # no stage says good before it is declared
+    assert "position_scale" in errors  # no stage says good before it is declared
 
     start.init("set", *WORDS, "--force", "--unit", "percent")
     assert start.document["channels"]["unit"] == "percent"

@@ -4,9 +4,11 @@ import re
 from collections.abc import Iterator
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.scales import likely_unit_of_time, remedy_of_time
 from seqid_cli.logs.raw import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -66,9 +68,12 @@ def clock_findings(
     rate_hz = health.rate_hz
     text = f"{rate_hz:.3g} samples per second"
     if not min_hz <= rate_hz <= max_hz:
-        unit = " but looks like ms" if 0.02 <= rate_hz <= min_hz else ""
-        text = f"{text}: the time column is not in seconds{unit}"
-        yield finding_of("time_unit", text, channel="t")
+        unit = likely_unit_of_time(rate_hz, slowest_hz=min_hz, fastest_hz=max_hz)
+        text = f"{text}: the time column is not in seconds"
+        text += f" but looks like {unit}" if unit else ""
+        finding = finding_of("time_unit", text, channel="t")
+        remedy = remedy_of_time(unit) if unit else finding.remedy
+        yield structs.replace(finding, remedy=remedy)
     elif rate_hz < slow_hz:
         yield finding_of("rate_low", text)
 

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.scales import Scale, angle_scales
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
@@ -122,13 +124,6 @@ def position_quality(
             yield finding_of("speed_limit", text, joint.name, "position")
 
 
-class _OtherUnit(NamedTuple):
-    """A unit that positions may be in, and how many of it make one rad (m)."""
-
-    code: str
-    factor: float
-
-
 def _unit(
     data: LogData, j: int, *, min_outside: float = 0.02
 ) -> InspectionFinding | None:
@@ -148,7 +143,7 @@ def _unit(
     most = float(q.max())
 
     def is_within(factor: float) -> bool:
-        ends = sorted((least / factor, most / factor))
+        ends = sorted((factor * least, factor * most))
         return bool(ends[0] >= low - margin and ends[1] <= high + margin)
 
     if is_within(1.0):
@@ -158,32 +153,48 @@ def _unit(
         f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g}"
         f" {'m' if joint.prismatic else 'rad'}"
     )
-    units = [_OtherUnit("position_in_degrees", np.degrees(1.0))]
-    if joint.prismatic:
-        units = [_OtherUnit("position_in_mm", 1000.0)]
-    if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
-        units.append(_OtherUnit("position_motor_side", joint.gear_ratio))
-    # The encoder's step is in the same unit: how many times the declared step is it?
-    if joint.encoder_resolution:
-        ratio = max(lattice(q), 1e-12) / joint.encoder_resolution
-        units.sort(key=lambda unit: abs(np.log(ratio / abs(unit.factor))))
-
     beyond = max(low - least, most - high)
-    for unit in units:
+    for scale in _other_units(data.robot, j, lattice(q)):
+        factor = float(scale.factors[j])
         # In a unit so large that hardly any motion is left, anything is within.
-        fills = (most - least) / abs(unit.factor) >= min_outside * span
-        if beyond > span and fills and is_within(unit.factor):
-            return finding_of(unit.code, text, joint.name, "position")
+        fills = (most - least) * abs(factor) >= min_outside * span
+        if beyond > span and fills and is_within(factor):
+            finding = finding_of(scale.code, text, joint.name, "position")
+            return structs.replace(finding, remedy=scale.remedy or finding.remedy)
     return finding_of("position_limits", text, joint.name, "position")
 
 
-def fast_in_degrees(
-    data: LogData, *, max_speed: float = 20.0
-) -> Iterator[InspectionFinding]:
-    """Take positions for degrees where most joints are impossibly fast.
+def _other_units(robot: Robot, j: int, step: float) -> list[Scale]:
+    """Return units that a joint's positions of this `step` may be in, likeliest first.
 
-    `max_speed` [rad/s] is beyond any arm. Limits and velocities say it better: with
-    either of them there is nothing to do here.
+    Percent of the range is none of them: any position would be within the limits.
+    """
+    joint = robot.joints[j]
+    if joint.prismatic:
+        metres = np.full(robot.n, 1e-3)
+        scales = [Scale(code="position_in_mm", factors=metres, text="is in mm")]
+        scales += [s for s in angle_scales(robot) if s.code == "position_motor_side"]
+    else:
+        scales = [s for s in angle_scales(robot) if s.code != "position_in_percent"]
+        # Whole numbers are counts.
+        is_whole = step > 0.0 and abs(step - round(step)) < 1e-6
+        scales.sort(key=lambda s: (s.code == "position_in_counts") != is_whole)
+    has_gear = abs(joint.gear_ratio or 1.0) > 3.0
+    scales = [s for s in scales if s.code != "position_motor_side" or has_gear]
+    scales = [s for s in scales if np.isfinite(s.factors[j])]
+    # The encoder's step is in the same unit: is it that of the robot file?
+    if joint.encoder_resolution:
+        ratio = joint.encoder_resolution / max(step, 1e-12)
+        scales.sort(key=lambda s: abs(np.log(ratio / abs(s.factors[j]))))
+    return scales
+
+
+def too_fast(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
+    """Take positions for those in another unit where most joints are too fast.
+
+    `max_speed` [rad/s] is beyond any arm; the first unit in which they are slower is
+    the likeliest. Limits and velocities say it better: with either of them there is
+    nothing to do here.
     """
     robot = data.robot
     if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
@@ -191,13 +202,23 @@ def fast_in_degrees(
     moving = [
         j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic
     ]
-    speeds = [top_speed(data, j) for j in moving]
-    if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
-        for j, speed in zip(moving, speeds, strict=True):
-            text = f"moves at {speed:.3g} per second: it looks like degrees"
-            yield finding_of(
-                "position_in_degrees", text, robot.joints[j].name, "position"
-            )
+    speeds = np.array([top_speed(data, j) for j in moving])
+    if len(moving) < 2 or float(np.median(speeds)) <= max_speed:
+        return
+
+    column = data.joints.channels["position"][:, moving[0]]
+    step = lattice(column[np.isfinite(column)])
+    for scale in _other_units(robot, moving[0], step):
+        factor = float(np.median(np.abs(scale.factors[moving])))
+        if not factor * float(np.median(speeds)) < max_speed:
+            continue
+        for j, speed in zip(moving, speeds.tolist(), strict=True):
+            words = scale.text.removeprefix("is ").removeprefix("in ")
+            text = f"moves at {speed:.3g} per second: it looks like {words}"
+            name = robot.joints[j].name
+            finding = finding_of(scale.code, text, name, "position")
+            yield structs.replace(finding, remedy=scale.remedy or finding.remedy)
+        return
 
 
 def top_speed(data: LogData, j: int) -> float:

@@ -30,6 +30,9 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
         yield finding_of("torque_missing", "there is neither torque nor current")
         return
     quantity, values = effort
+    if quantity == "current":
+        yield from _inverse_gears(data)
+    yield from _beyond_limits(data, quantity)
     for j, joint in enumerate(data.robot.joints):
         for code, text in _of_channel(data, j, values[:, j], quantity):
             yield finding_of(code, text, joint.name, quantity)
@@ -39,6 +42,40 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
             " torque"
         )
         yield finding_of("effort_unclear", text, channel=quantity)
+
+
+def _inverse_gears(data: LogData, *, least: float = 0.5) -> Iterator[InspectionFinding]:
+    """Find gears of a ratio below `least`: the joint would outrun its motor."""
+    for joint in data.robot.joints:
+        ratio = abs(joint.gear_ratio or 1.0)
+        if ratio < least:
+            text = (
+                f"gear_ratio is {ratio:.4g}, motor turns per joint turn: was its"
+                f" inverse, {1.0 / ratio:.4g}, meant?"
+            )
+            yield finding_of("gear_inverse", text, joint.name, "current")
+
+
+def _beyond_limits(
+    data: LogData, quantity: str, *, usual: float = 0.99, most: float = 1.2
+) -> Iterator[InspectionFinding]:
+    """Find torques whose quantile `usual` is `most` times the URDF's effort limit.
+
+    A push or a spike is no torque of the joint.
+    """
+    tau = data.recording.tau
+    if tau is None or not data.modelled:
+        return
+    largest = np.quantile(np.abs(tau[data.recording.valid]), usual, axis=0)
+    for joint, torque in zip(data.robot.joints, largest.tolist(), strict=True):
+        limit = joint.urdf.effort if joint.urdf is not None else None
+        if limit and torque > most * limit:
+            unit = joint.unit("N m")
+            text = (
+                f"reaches {torque:.4g} {unit}, the URDF's effort limit is {limit:.4g}"
+                f" {unit}"
+            )
+            yield finding_of("torque_limit", text, joint.name, quantity)
 
 
 def _may_be_current(data: LogData) -> bool:

@@ -11,13 +11,21 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
+from msgspec import structs
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import welch
 
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.scales import (
+    Factor,
+    Scale,
+    first_agreeing,
+    slope_scales,
+    time_scales,
+)
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array, Joint
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
@@ -78,12 +86,11 @@ def velocity_findings(
         yield finding_of("position_stuck", text, names[j], "position")
     live = [j for j in moving if j not in stuck]
 
-    # One wrong unit of time explains the gains of all joints.
-    clear_gains = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
-    factor = _time_factor(clear_gains)
-    if factor is not None:
-        text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
-        yield finding_of("time_unit", text, channel="t")
+    factors = {j: _factor(gains[j], r[j, j], int(n_windows[j])) for j in live}
+    clear = {j: factor for j, factor in factors.items() if abs(r[j, j]) > CORRELATED}
+    of_time = _of_time(data.robot, clear)
+    if of_time is not None:
+        yield of_time
         return
 
     for a, b in crossed:
@@ -95,18 +102,59 @@ def velocity_findings(
     for j in live:
         if j not in crossed_joints:
             yield from _verdict(
-                data.robot.joints[j], float(gains[j]), float(r[j, j]), float(ratios[j])
+                data.robot, j, factors[j], float(r[j, j]), float(ratios[j])
             )
 
 
-def _time_factor(gains: list[float]) -> float | None:
-    """Return the factor of another unit of time that all gains have, or None."""
-    if not gains:
+def _factor(gain: float, correlation: float, n_windows: int) -> Factor:
+    """Return a gain as the factor of slopes, with its error over so many windows."""
+    left = max(1.0 / max(correlation**2, 1e-12) - 1.0, 0.0)
+    std_error = abs(gain) * float(np.sqrt(left / max(n_windows - 2, 1)))
+    return Factor(value=float(gain), std_error=std_error)
+
+
+def _of_time(
+    robot: Robot, factors: dict[int, Factor], *, min_speed: float = 1.25
+) -> InspectionFinding | None:
+    """Find another unit of time, or a log that was played at another speed.
+
+    Either gives the slopes of all joints one factor; so do velocities of all joints in
+    another unit, which is likelier where one is known.
+
+    Parameters
+    ----------
+    robot : Robot
+        The arm.
+    factors : dict of int to Factor
+        Slopes over velocities, of joints where both go together.
+    min_speed : float
+        Factor, or its inverse, from which on a speed of playing is said.
+    """
+    measured = [*factors.items()]
+    if not measured:
         return None
-    for factor in (1e-3, 1e-6, 1e3, 1e6):
-        if all(abs(gain / factor - 1.0) < NEAR for gain in gains):
-            return factor
-    return None
+    usual = float(np.median([factor.value for factor in factors.values()]))
+    unit = first_agreeing(measured, time_scales(robot), NEAR)
+    if unit is not None:
+        text = (
+            f"velocities are {1.0 / usual:.3g} times the slopes of all positions:"
+            f" {unit.text}"
+        )
+        finding = finding_of(unit.code, text, channel="t")
+        return structs.replace(finding, remedy=unit.remedy)
+
+    is_known = first_agreeing(measured, slope_scales(robot), NEAR) is not None
+    is_common = all(factor.agrees(usual) for factor in factors.values())
+    is_other = usual > 0.0 and abs(np.log(usual)) > np.log(min_speed)
+    if len(measured) < 2 or is_known or not (is_common and is_other):
+        return None
+    precision = float(np.median([f.std_error for f in factors.values()]))
+    text = (
+        f"all positions change by {usual:.4g} +- {precision:.1g} times the integrals of"
+        f" their velocities: was the log played at {usual:.3g} times its speed, and"
+        " recorded again by the times of arrival?"
+    )
+    return finding_of("time_scale", text, channel="t")
 
 
 def _still(
@@ -186,8 +234,9 @@ def _windows(data: LogData, seconds: float) -> _Windows:
 
 
 def _verdict(
-    joint: Joint,
-    gain: float,
+    robot: Robot,
+    j: int,
+    gain: Factor,
     correlation: float,
     ratio: float,
     *,
@@ -199,9 +248,11 @@ def _verdict(
 
     Parameters
     ----------
-    joint : Joint
+    robot : Robot
+        The arm.
+    j : int
         The joint.
-    gain : float
+    gain : Factor
         Travel of the position per integral of the velocity.
     correlation : float
         Correlation of the two over windows.
@@ -212,26 +263,34 @@ def _verdict(
     min_gain, max_gain : float
         Gains between which it is right.
     """
+    joint = robot.joints[j]
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
         yield finding_of("velocity_zero", text, joint.name, "velocity")
         return
 
-    text = f"the position changes by {gain:.3g} times the velocity's integral"
-    degrees = np.degrees(1.0)
-    factors = {
-        "position_in_degrees": degrees,
-        "velocity_in_degrees": 1.0 / degrees,
-        "velocity_sign": -1.0,
-    }
-    if joint.prismatic:
-        factors = {"position_in_mm": 1000.0, "velocity_sign": -1.0}
-    for code, factor in factors.items():
-        near = NEAR if factor > 0.0 else 0.2
-        if abs(correlation) > CORRELATED and abs(gain / factor - 1.0) < near:
-            channel = code.partition("_")[0]
-            yield finding_of(code, text, joint.name, channel)
+    text = f"the position changes by {gain.value:.3g} times the velocity's integral"
+    goes_together = abs(correlation) > CORRELATED
+    is_right = min_gain < gain.value < max_gain
+    if goes_together and abs(gain.value + 1.0) < 0.2:
+        yield finding_of("velocity_sign", text, joint.name, "velocity")
+        return
+    if goes_together and not is_right:
+        scales = slope_scales(robot)
+        if joint.prismatic:
+            millimetres = np.full(robot.n, 1000.0)
+            scales = [
+                Scale(code="position_in_mm", factors=millimetres, text="is in mm")
+            ]
+        scale = first_agreeing([(j, gain)], scales, NEAR)
+        if scale is not None:
+            channel = scale.code.partition("_")[0]
+            finding = finding_of(scale.code, text, joint.name, channel)
+            if scale.code == "velocity_inconsistent":
+                finding = structs.replace(finding, message=f"{text}: {scale.text}")
+            remedy = scale.remedy or finding.remedy
+            yield structs.replace(finding, remedy=remedy)
             return
-    if not min_gain < gain < max_gain or correlation < CORRELATED:
+    if not is_right or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"
         yield finding_of("velocity_inconsistent", text, joint.name, "velocity")

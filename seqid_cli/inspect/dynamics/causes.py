@@ -114,21 +114,20 @@ def _at(robot: Robot, joints: Sequence[int], value: float, usual: float = 1.0) -
 
 
 def _degrees(sample: Sample) -> Iterator[Cause]:
-    """Yield that positions are in degrees, of one revolute joint or of all."""
+    """Yield that positions of one revolute joint are in degrees.
+
+    Another unit of all angles is told by `angles`.
+    """
     robot = sample.robot
     # Less than a turn in degrees is no motion to speak of.
     is_far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi
-    revolute = tuple(j for j, joint in enumerate(robot.joints) if not joint.prismatic)
-    groups: list[tuple[int, ...]] = [(j,) for j in revolute]
-    if len(revolute) > 1:
-        groups.append(revolute)
-    for group in groups:
-        if is_far[list(group)].any():
+    for j, joint in enumerate(robot.joints):
+        if is_far[j] and not joint.prismatic:
             yield Cause(
                 code="position_in_degrees",
-                joints=group,
+                joints=(j,),
                 text="is in degrees",
-                motion=_at(robot, group, np.pi / 180.0),
+                motion=_at(robot, [j], np.pi / 180.0),
             )
 
 

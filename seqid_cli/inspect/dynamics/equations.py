@@ -14,16 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
+from seqid_cli.inspect.dynamics.angles import angle_findings, far_angle_finding
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, zero_off
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
-from seqid_cli.inspect.dynamics.weights import weight_findings, wrong_weights
+from seqid_cli.inspect.dynamics.structure import sliding, structural_error
+from seqid_cli.inspect.dynamics.weights import (
+    common_factor,
+    weight_findings,
+    weights,
+)
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
-from seqid_cli.typing import Mask
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 # Ratio of errors of all equations that a zero changes, and a centre of mass not.
@@ -83,12 +87,16 @@ def _structural(
     """
     settings = data.settings.dynamics
     thin = sample.thinned()
-    error = _structural_error(thin)
+    error = structural_error(thin)
     if error < settings.max_left:
-        yield from _nearly_right(thin, error)
+        yield from [*angle_findings(thin)] or _nearly_right(thin, error)
+        return
+    of_angles = far_angle_finding(thin, error)
+    if of_angles is not None:
+        yield of_angles
         return
     causes = [*causes_of(data, thin, units=True)]
-    mended = _mending(thin, error, _structural_error, causes)
+    mended = _mending(thin, error, structural_error, causes)
     if mended is not None:
         yield mended
         return
@@ -110,10 +118,10 @@ def _nearly_right(
     or less. A centre of mass that the URDF has wrong looks alike in the torque of that
     joint alone, not in the equations of all joints, which then decide between the two.
     """
-    causes = _shifted(sample, _structural_error)
+    causes = _shifted(sample, structural_error)
     if sample.robot.gravity.any():
         causes = [mounted(-sample.robot.gravity), *causes]
-    best = _best(causes, sample, _structural_error)
+    best = _best(causes, sample, structural_error)
     if best is not None and best.error <= max_ratio * error:
         yield _mended(sample.robot, [best.cause], _fall(error, best.error))
         return
@@ -123,7 +131,7 @@ def _nearly_right(
     best = _best(_shifted(sample, _nominal_error), sample, _nominal_error)
     if best is None:
         return
-    shifted_error = _structural_error(best.cause.on(sample))
+    shifted_error = structural_error(best.cause.on(sample))
     error_before = _beyond(_nominal_error(sample), error)
     error_after = _beyond(best.error, shifted_error)
     if error_after > min(max_ratio * error_before, max_left):
@@ -366,40 +374,18 @@ def _slanted(
     return [mounted(best), mounted(-best)]
 
 
-def _sliding(sample: Sample, *, min_speed: float = 0.2) -> Mask:
-    """Return where (N, n) moving joints slide: at rest friction takes any value."""
-    is_fast = np.abs(sample.dq) > min_speed * sample.rms_speeds
-    return np.asarray(is_fast & np.isin(np.arange(sample.robot.n), sample.moving))
-
-
-def _structural_error(sample: Sample) -> float:
-    """Return the RMS that rigid body and friction leave, in shares of each torque."""
-    assert sample.basis is not None
-    n = sample.robot.n
-    Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
-    # Joints share the rigid body, but no joint has the friction of another.
-    friction = sample.friction_columns()[:, :, None] * np.eye(n)[:, :, None]
-    X = np.concatenate([Y, friction.reshape(len(sample.tau), n, -1)], axis=2)
-
-    sliding = _sliding(sample)
-    squares = np.where(sliding, sample.tau, 0.0) ** 2
-    count = np.maximum(sliding.sum(axis=0), 1)
-    size = np.sqrt(squares.sum(axis=0) / count).clip(1e-12)
-    fit = scaled_fit((X / size[:, None])[sliding], (sample.tau / size)[sliding])
-    return float(np.sqrt(np.mean(fit.residual**2)))
-
-
 def _scale(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
-    wrong = wrong_weights(sample)
-    if not wrong:
-        return
-    causes = [*causes_of(data, sample)]
-    mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
-    if mended:
-        yield mended
-        return
-    yield from weight_findings(data, wrong)
+    found = [*weights(sample)]
+    of_size = [*weight_findings(data, found)]
+    is_wrong = any(finding.severity == "error" for finding in of_size)
+    if is_wrong and common_factor(found) is None:
+        causes = [*causes_of(data, sample)]
+        mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
+        if mended:
+            yield mended
+            return
+    yield from of_size
 
 
 def _nominal_error(sample: Sample) -> float:
@@ -407,10 +393,10 @@ def _nominal_error(sample: Sample) -> float:
     gravity_and_inertia = np.sum(sample.nominal(), axis=0)
     difference = sample.tau - gravity_and_inertia
     friction = sample.friction_columns()
-    sliding = _sliding(sample)
+    slides = sliding(sample)
     shares = []
     for j in sample.moving:
-        rows = sliding[:, j]
+        rows = slides[:, j]
         if not rows.any():
             continue
         residual = scaled_fit(friction[rows, j], difference[rows, j]).residual

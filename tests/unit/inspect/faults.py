@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tests import ROOT
+from tests.plants.robots.sample import sample_robot
 from tests.unit.inspect import planting as p
 from tests.unit.inspect.planting import Columns, Plant
 
@@ -53,8 +54,14 @@ def write_columns(path: Path, columns: Columns) -> None:
     pq.write_table(pa.table(columns), path)
 
 
+SIX_ROBOT = sample_robot("six_joint")
+PER_AMPERE = {joint.name: joint.torque_per_ampere or 1.0 for joint in SIX_ROBOT.joints}
 NO_LIMITS = {"position_limits = [-2.4, 2.4]\n": ""}
 DEGREES = 180.0 / np.pi
+TURN = 2.0 * np.pi
+# Robot files without what tells a unit at once.
+UNLIMITED = {"position_limits = ": "# ", "velocity_limit = ": "# "}
+ALL_SIX = ", ".join(SIX)
 
 FAULTS = (
     Fault("degrees against limits", "position_in_degrees", "elbow",
@@ -142,7 +149,30 @@ FAULTS = (
     Fault("effort is current", "effort_is_current", "shoulder_lift",
           p.renamed(".current", ".torque")),
     Fault("torque called current", "effort_is_torque", "elbow",
-          p.times(8.0, "*.current")),
+          p.both(*(p.times(n_m, f"{j}.current") for j, n_m in PER_AMPERE.items()))),
+    Fault("percent of the rated current", "torque_scale", "elbow",
+          p.times(25.0, "*.current")),
+    Fault("shares of the rated current", "torque_scale", "elbow",
+          p.times(0.3, "*.current")),
+    Fault("peak current", "scale_or_mass", "elbow", p.times(2.0**0.5, "*.current")),
+    Fault("all angles in counts", "position_in_counts", ALL_SIX,
+          p.both(p.renamed(".velocity", None), p.times(4096 / TURN, "*.position")),
+          robot=UNLIMITED),
+    Fault("all angles in turns", "position_in_turns", ALL_SIX,
+          p.both(p.renamed(".velocity", None), p.times(1 / TURN, "*.position")),
+          robot=UNLIMITED),
+    Fault("all angles in percent", "position_scale", ALL_SIX,
+          p.both(p.renamed(".velocity", None), p.times(100 / 1.9, "*.position")),
+          robot=UNLIMITED),
+    Fault("percent for degrees", "position_scale", ALL_SIX,
+          p.both(p.renamed(".velocity", None), p.times(100 / 1.9, "*.position")),
+          robot=UNLIMITED | {"[channels]": '[channels]\nunit = "deg"'}),
+    Fault("played at half speed", "time_scale", "", p.times(2.0, "t")),
+    Fault("time in us beside velocities", "time_unit", "", p.times(1e6, "t")),
+    Fault("velocity in rpm", "velocity_inconsistent", "wrist_1",
+          p.times(60 / TURN, "wrist_1.velocity")),
+    Fault("inverse gear", "gear_inverse", "elbow", p.nothing,
+          robot={"gear_ratio = 101.0": "gear_ratio = 0.00990099"}),
     Fault("joint renamed", "channel_missing", "elbow",
           p.renamed("elbow.", "elbow_joint.")),
     Fault("IMU renamed", "channel_missing", "imu_b", p.renamed("imu_b.", "imuB.")),

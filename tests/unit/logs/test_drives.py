@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.effects.apply import scene_of_log
+from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
@@ -67,6 +68,33 @@ def test_percent_of_the_limits(tmp_path: Path, logged: Columns) -> None:
     found = read(tmp_path, logged, robot)
     np.testing.assert_allclose(found.q, TRUTH.q, atol=1e-12)
     np.testing.assert_allclose(found.dq, 1.0)
+
+
+UNITS = {
+    "turn": (2.0 * np.pi, {}),
+    "count": (0.0015, {"encoder_resolution": 0.0015}),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_other_units_of_all_angles(tmp_path: Path, logged: Columns, unit: str) -> None:
+    size, joint = UNITS[unit]
+    for name in NAMES:
+        logged[f"{name}.velocity"] = np.gradient(logged[f"{name}.position"]) / size
+        logged[f"{name}.position"] = logged[f"{name}.position"] / size
+    robot = with_channels(Channels(unit=unit), **joint)
+    found = read(tmp_path, logged, robot)
+    np.testing.assert_allclose(found.q, TRUTH.q, atol=1e-9)
+    np.testing.assert_allclose(found.dq, np.gradient(TRUTH.q, axis=0), atol=1e-9)
+
+
+def test_a_unit_needs_what_it_rests_on(tmp_path: Path) -> None:
+    text = (SIX / "robot.toml").read_text().replace("position_limits", "# ")
+    text = text.replace("[channels]", '[channels]\nunit = "percent"')
+    (tmp_path / "robot.toml").write_text(text)
+    (tmp_path / "six_joint.urdf").write_text((SIX / "six_joint.urdf").read_text())
+    with pytest.raises(ConfigError, match="position_limits"):
+        load_robot(tmp_path / "robot.toml")
 
 
 def test_gravity_that_a_driver_subtracts_is_added_again(

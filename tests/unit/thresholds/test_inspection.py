@@ -73,7 +73,9 @@ def of_equations(settings: DynamicsSettings, left: float) -> list[str]:
     nearly_right = SimpleNamespace(code="nearly right")
     with patch.multiple(
         equations,
-        _structural_error=lambda *_: left,
+        structural_error=lambda *_: left,
+        angle_findings=lambda *_: iter([]),
+        far_angle_finding=lambda *_: None,
         _nearly_right=lambda *_: iter([nearly_right]),
         _mending=lambda *_: None,
         causes_of=lambda *_, **__: [],

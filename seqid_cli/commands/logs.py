@@ -18,6 +18,8 @@ from seqid_cli.commands.found_urdf import FoundUrdf, found_urdf
 from seqid_cli.commands.options import (
     SIX,
     DebugOption,
+    ExcludeOption,
+    FromOption,
     JsonOption,
     LogsArgument,
     NoColorOption,
@@ -26,6 +28,7 @@ from seqid_cli.commands.options import (
     SetOption,
     ShowSettingsOption,
     TimeOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
@@ -34,6 +37,7 @@ from seqid_cli.commands.robot_file import found_robot_if_any
 from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.inspection import InspectionFile
@@ -81,6 +85,9 @@ def inspect(
     ] = None,
     output: OutputOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     strict: Annotated[
         bool,
         typer.Option(
@@ -115,6 +122,7 @@ and what is wrong.
             robot,
             settings=settings,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             plan=plan,
             output=output,
             on_progress=run.on_progress,

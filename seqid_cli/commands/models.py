@@ -13,6 +13,8 @@ from seqid_cli.commands.options import (
     CutoffOption,
     DebugOption,
     EngineOption,
+    ExcludeOption,
+    FromOption,
     JobsOption,
     JsonOption,
     LogsArgument,
@@ -28,6 +30,7 @@ from seqid_cli.commands.options import (
     SkipFailedOption,
     StrictOption,
     TimeOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
@@ -44,6 +47,7 @@ from seqid_cli.commands.screen.show import (
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
 from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import UsageError
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.payload import PayloadFile
@@ -95,6 +99,9 @@ def predict(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     jobs: JobsOption = None,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = None,
@@ -130,6 +137,7 @@ def predict(
         options = identify.PredictOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             skip_failed=skip_failed,
             source=source,
             with_unexplained=with_unexplained,
@@ -193,6 +201,9 @@ def diagnose(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     strict: StrictOption = False,
     explain: ExplainOption = None,
     set_values: SetOption = None,
@@ -215,7 +226,10 @@ nothing is changed.
         if explain is not None:
             _check_joint(explain, robot)
         options = discover.DiagnoseOptions(
-            cutoff_hz=cutoff_hz, time_source=time_source, source=source
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
+            source=source,
         )
         settings = run.settings(DiscoverSettings(), set_values)
         file = discover.diagnose(
@@ -326,6 +340,9 @@ def refine(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     strict: StrictOption = False,
     explain: ExplainOption = None,
     set_values: SetOption = None,
@@ -352,6 +369,7 @@ predicted better.
         options = discover.RefineOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             source=source,
             rounds=rounds,
             with_unexplained=with_unexplained,
@@ -410,6 +428,9 @@ def payload(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     skip_failed: SkipFailedOption = False,
     strict: StrictOption = False,
     set_values: SetOption = None,
@@ -433,6 +454,7 @@ def payload(
         options = payloads.PayloadOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             skip_failed=skip_failed,
             source=source,
             friction_change=friction_change,

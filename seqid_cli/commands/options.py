@@ -119,6 +119,31 @@ TimeOption = Annotated[
     Literal["header", "log"],
     typer.Option("--time", help="Which time stamps of an MCAP log count."),
 ]
+# The part of each log that is used; `LogPart.of` takes the three of them.
+FromOption = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="MOMENT",
+        help=(
+            "Use logs from here on: seconds from the start, or a stamp"
+            " (2026-03-01T12:00:00Z, seconds since 1970, or @ and seconds of the log's"
+            " clock)."
+        ),
+    ),
+]
+ToOption = Annotated[
+    str | None,
+    typer.Option("--to", metavar="MOMENT", help="Use logs up to here."),
+]
+ExcludeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--exclude",
+        metavar="MOMENT,MOMENT",
+        help="Leave out what lies between; repeat it for several.",
+    ),
+]
 JobsOption = Annotated[
     int | None,
     typer.Option(

@@ -12,12 +12,15 @@ import typer
 from seqid_cli.commands.command_run import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
 from seqid_cli.commands.options import (
     DebugOption,
+    ExcludeOption,
+    FromOption,
     JobsOption,
     JsonOption,
     NoColorOption,
     QuietOption,
     SetOption,
     ShowSettingsOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
@@ -28,6 +31,7 @@ from seqid_cli.commands.run_record import Record
 from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.commands.settings import RunSettings, words_for_step
 from seqid_cli.errors import UsageError
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import LEVELS, Level, ParameterFile, Verdict
@@ -178,6 +182,9 @@ def run(
             "--strict", help="Exit with 1 when the worst verdict is not good."
         ),
     ] = False,
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     set_values: SetOption = None,
     show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
@@ -203,10 +210,11 @@ def run(
     settings = list(set_values or ())
     overridden(RunSettings(), settings)  # refuses what no stage has, before any runs
     runner = StepRunner(screen=screen, no_color=no_color)
+    part = LogPart.of(start, stop, exclude)  # refuses what is no time, likewise
     robot_file = _robot_file(runner, folder, robot, urdf, output)
     arm = load_robot(robot_file)
     logs = logs_of_run(folder, output, arm, screen.note)
-    steps = list(_steps(logs, robot_file, output, jobs, settings, refine=refine))
+    steps = list(_steps(logs, robot_file, output, jobs, settings, part, refine=refine))
     _make_folder(output)
 
     record = Record(output)
@@ -268,12 +276,14 @@ def _steps(
     output: Path,
     jobs: int | None,
     settings: Sequence[str],
+    part: LogPart,
     *,
     refine: bool,
 ) -> Iterator[Step]:
     """Yield the commands for the logs at hand, each with the results before it.
 
-    `settings` are what --set was given; a command gets those that it has.
+    `settings` are what --set was given; a command gets those that it has. `part` is
+    the part of each log that is used.
     """
     processes = [] if jobs is None else ["--jobs", jobs]
     robot_files = [robot_file, *_urdf_of(robot_file)]
@@ -302,6 +312,7 @@ def _steps(
                 writes[0],
                 *options,
                 *words_for_step(command, settings),
+                *part.words,
                 "--",
                 *log_paths,
             ],

@@ -15,6 +15,8 @@ from seqid_cli.commands.options import (
     CutoffOption,
     DebugOption,
     EngineOption,
+    ExcludeOption,
+    FromOption,
     JobsOption,
     JsonOption,
     LogsArgument,
@@ -30,12 +32,14 @@ from seqid_cli.commands.options import (
     SkipFailedOption,
     StrictOption,
     TimeOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
 )
 from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.identify.options import MAX_POSITION_ORDER
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import ParameterFile, Stages, Verdict
 
@@ -90,6 +94,9 @@ def friction(
     ] = None,
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     jobs: JobsOption = None,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = None,
@@ -115,6 +122,7 @@ def friction(
         options = identify.FrictionOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             skip_failed=skip_failed,
             position_order=position_order,
             velocity_order=velocity_order,
@@ -155,6 +163,9 @@ def gravity(
     output: OutputOption = None,
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     jobs: JobsOption = None,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = None,
@@ -178,7 +189,10 @@ def gravity(
     ) as run:
         robot = run.robot_file(robot, logs)
         options = identify.LogOptions(
-            cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
+            skip_failed=skip_failed,
         )
         settings = run.settings(identify.GravitySettings(), set_values)
         executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
@@ -214,6 +228,9 @@ def imu_calib(
     output: OutputOption = None,
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     jobs: JobsOption = None,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = None,
@@ -239,7 +256,10 @@ what they are like.
     ) as run:
         robot = run.robot_file(robot, logs)
         options = identify.LogOptions(
-            cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+            cutoff_hz=cutoff_hz,
+            time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
+            skip_failed=skip_failed,
         )
         settings = run.settings(identify.ImuCalibSettings(), set_values)
         executor = run.log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler)
@@ -276,6 +296,9 @@ def inertia(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     jobs: JobsOption = None,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = None,
@@ -301,6 +324,7 @@ def inertia(
         options = identify.RigidOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             skip_failed=skip_failed,
             source=source,
             consistent=consistent,
@@ -346,6 +370,9 @@ def simultaneous(
     source: MotionOption = "auto",
     cutoff_hz: CutoffOption = None,
     time_source: TimeOption = "header",
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     consistent: ConsistentOption = False,
     strict: StrictOption = False,
     set_values: SetOption = None,
@@ -368,6 +395,7 @@ def simultaneous(
         options = identify.SimultaneousOptions(
             cutoff_hz=cutoff_hz,
             time_source=time_source,
+            part=LogPart.of(start, stop, exclude),
             source=source,
             consistent=consistent,
             offset=offset,

@@ -35,8 +35,8 @@ from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.log_file import LogFile, likely_rows
 from seqid_cli.logs.long import LongLog
 from seqid_cli.logs.pieces import read_pieces
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_both
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Range, Recording, Whole, by_log
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.model.torque import TorqueModel, known_rotors
@@ -382,10 +382,10 @@ def take_excerpts(
         settings=settings,
     )
     logs: Sequence[Path | Recording]
-    clock: TimeSource = "header"
+    reading = HEADER_STAMPS
     if isinstance(recordings, LogSet) and _is_long(recordings, most_samples):
         logs = recordings.logs
-        clock = recordings.time_source
+        reading = recordings.reading
         surveys = tuple(recordings.mapped(survey, PASSED_OVER))
         if _held_samples(surveys) <= most_samples:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
@@ -407,7 +407,7 @@ def take_excerpts(
     pieces: list[Recording] = []
     for log, of_log, chosen, added in zip(logs, surveys, ranges, extra, strict=True):
         if chosen or added:
-            pieces += _read(log, of_log, sorted([*chosen, *added]), robot, clock)
+            pieces += _read(log, of_log, sorted([*chosen, *added]), robot, reading)
     return Excerpts(
         recordings=tuple(pieces),
         about_places=sum(map(len, extra)),
@@ -456,7 +456,7 @@ def _read(
     survey: ResidualSurvey,
     ranges: list[Range],
     robot: Robot,
-    clock: TimeSource,
+    reading: Reading,
 ) -> list[Recording]:
     """Read some stretches of a log."""
     if isinstance(log, Recording):
@@ -464,14 +464,14 @@ def _read(
     with local_copy(log) as copy:
         if survey.passed_over:
             pieces = read_pieces(
-                LogFile.at(copy, time_source=clock),
+                LogFile.at(copy, reading=reading),
                 robot,
                 survey.whole,
                 ranges,
                 sound=partial(sound, robot=robot),
             )
         else:
-            recording, raw = read_both(copy, robot, time_source=clock)
+            recording, raw = read_both(copy, robot, reading=reading)
             pieces = sound(recording, raw, robot).pieces(ranges)
     return [replace(piece, path=log) for piece in pieces]
 

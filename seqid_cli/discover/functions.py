@@ -228,7 +228,7 @@ def _refined(
         for sha256, pieces in by_digest(unseen.recordings).items()
     }
     check_unseen(unseen_paths.items(), {**earlier.paths, **fitted_paths})
-    whole_logs = WholeLogs(tuple(held_out_files), robot, inputs.options.time_source)
+    whole_logs = WholeLogs(tuple(held_out_files), robot, inputs.reading)
     confirmed = confirm(
         decided,
         unseen.recordings,

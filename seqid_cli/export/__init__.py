@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 
 from seqid_cli.export.formats import BY_TITLE, Format, format_of
 from seqid_cli.export.formats import export as export_form
-from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
+from seqid_cli.identify.inputs import (
+    Models,
+    model_id,
+    read_models,
+    robot_of,
+    with_used_parts,
+)
 from seqid_cli.logs.given import PathLike, listed
+from seqid_cli.logs.reading import HEADER_STAMPS
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head, join, present, robot_id
@@ -206,7 +213,7 @@ def _motions(
         return None
     from seqid_cli.export.motions import FullModel, motions_of
 
-    full = FullModel.of(arm, file.stages)
+    full = FullModel.of(arm, file.stages, with_used_parts(HEADER_STAMPS, [file]))
     return motions_of(full, file.inputs, replayed_logs, folders)
 
 
@@ -263,7 +270,7 @@ def _check(
     from seqid_cli.export.written.arm import UnreadableFormError
     from seqid_cli.export.written.code import NoCompilerError
 
-    full = FullModel.of(arm, file.stages)
+    full = FullModel.of(arm, file.stages, with_used_parts(HEADER_STAMPS, [file]))
     names = [str(log) for log in logs]
     try:
         joints = replayed(output_path, form.title, full, logs, loss)

@@ -23,6 +23,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import Predictor
 from seqid_cli.identify.regression.equations import torque_motion
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import sha256_of
 from seqid_cli.model.torque import TorqueModel
@@ -112,6 +113,8 @@ class FullModel:
         All effects, those of no known cause among them.
     options : InertiaOptions
         How the logs are filtered.
+    reading : Reading
+        Which part of each log is used.
     """
 
     robot: Robot
@@ -119,9 +122,10 @@ class FullModel:
     model: TorqueModel
     effects: tuple[Fitted, ...]
     options: InertiaOptions
+    reading: Reading = HEADER_STAMPS
 
     @classmethod
-    def of(cls, robot: Robot, stages: Stages) -> Self:
+    def of(cls, robot: Robot, stages: Stages, reading: Reading = HEADER_STAMPS) -> Self:
         """Return the model of a file, whose logs are filtered as when it was made.
 
         Parameters
@@ -130,6 +134,8 @@ class FullModel:
             The arm.
         stages : Stages
             Those of the file.
+        reading : Reading
+            Which part of each log is used.
 
         Raises
         ------
@@ -142,6 +148,7 @@ class FullModel:
             model=TorqueModel.from_stages(stages, robot),
             effects=tuple(fitted_effects(stages, robot, unexplained=True)),
             options=InertiaOptions(motion=inherited(stages, None)),
+            reading=reading,
         )
 
     def motion(self, log: Recording) -> Motion:
@@ -434,7 +441,7 @@ def _readable(
     recordings: list[Recording] = []
     for path in paths:
         try:
-            log = _with_torque(read_recording(path, full.robot))
+            log = _with_torque(read_recording(path, full.robot, reading=full.reading))
             full.motion(log)
         except SeqidError as error:
             reasons.append(str(error))

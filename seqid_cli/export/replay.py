@@ -158,7 +158,8 @@ def replayed(
     samples = np.zeros(robot.n)
     with read_written(path, kind, robot) as arm:
         for log_path in logs:
-            errors = _squared_errors(arm, full, read_recording(log_path, robot))
+            log = read_recording(log_path, robot, reading=full.reading)
+            errors = _squared_errors(arm, full, log)
             of_file += errors.of_file
             of_form += errors.of_form
             samples += errors.samples

@@ -30,6 +30,7 @@ from seqid_cli.identify.settings import (
     SimultaneousSettings,
 )
 from seqid_cli.identify.surfaces import FrictionValues, friction_values
+from seqid_cli.logs.reading import LogPart
 
 __all__ = [
     "FrictionOptions",
@@ -40,6 +41,7 @@ __all__ = [
     "InertiaSettings",
     "JudgingSettings",
     "LogOptions",
+    "LogPart",
     "PredictOptions",
     "PredictSettings",
     "RigidOptions",

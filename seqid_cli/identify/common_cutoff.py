@@ -34,6 +34,7 @@ from seqid_cli.imu.smoother.fused import score_of_smoothed
 from seqid_cli.logs import long as long_logs
 from seqid_cli.logs.long import LongLog, open_if_long
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.filters import bandwidth
@@ -72,6 +73,7 @@ def _survey(
     robot: Robot,
     options: RigidOptions,
     imu: ImuStage | None,
+    reading: Reading,
     most_values: float,
 ) -> _Surveyed | None:
     """Score the cut-offs of one log, and keep pieces of it; None where no joint moves.
@@ -79,7 +81,6 @@ def _survey(
     `most_values`: samples times joints of the pieces.
     """
     source = options.source
-    time_source = options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
         log: Recording | LongLog
@@ -89,10 +90,8 @@ def _survey(
             file = Path(stack.enter_context(local_copy(given)))
             long = None
             if not fuses:
-                long = open_if_long(
-                    file, robot, time_source=time_source, least=long_logs.LONG
-                )
-            log = long or read_recording(file, robot, time_source=time_source)
+                long = open_if_long(file, robot, reading=reading, least=long_logs.LONG)
+            log = long or read_recording(file, robot, reading=reading)
 
         score = survey_of(log).score(encoder_resolution(robot), GRID)
         if score is None:
@@ -161,6 +160,7 @@ def identification_options(
     imu: ImuStage | None,
     trial: Trial | None = None,
     *,
+    reading: Reading = HEADER_STAMPS,
     most_values: float = 1e6,
     limits: CutoffSettings = CutoffSettings(),
 ) -> MotionOptions:
@@ -175,6 +175,8 @@ def identification_options(
     trial : Trial, optional
         Whoever identifies, to find the cut-off with the smallest error of the predicted
         torque. Without one the motion alone decides.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     most_values : float
         Samples times joints that cut-offs are tried on: pieces of logs that have more.
     limits : CutoffSettings
@@ -187,7 +189,9 @@ def identification_options(
         for log in logs:
             # Errors are reported when the log is read to be identified from.
             with contextlib.suppress(SeqidError):
-                survey = _survey(log, robot, options, imu, most_values / len(logs))
+                survey = _survey(
+                    log, robot, options, imu, reading, most_values / len(logs)
+                )
                 if survey is not None:
                     surveys.append(survey)
     if not surveys:

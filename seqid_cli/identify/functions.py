@@ -212,6 +212,7 @@ def inertia(
         options,
         earlier_stages.imu,
         InertiaTrial(arm, earlier_stages, options.source, settings),
+        reading=inputs.reading,
         limits=settings.cutoff,
     )
     result = identify_inertia(
@@ -274,6 +275,7 @@ def simultaneous(
         options,
         imu,
         SimultaneousTrial(arm, imu, options.source, offset=options.offset),
+        reading=inputs.reading,
         limits=settings.cutoff,
     )
     friction, inertia = identify_simultaneous(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -22,6 +22,7 @@ from seqid_cli.logs.given import (
     optional,
     warn,
 )
+from seqid_cli.logs.reading import LogPart, Reading, part_of_words
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.logs.storage.remote import StoredLog
 from seqid_cli.params.document import COMMAND_OF, join, present
@@ -67,6 +68,11 @@ class Inputs:
     def stages(self) -> Stages:
         """What had been identified before."""
         return self.previous.stages if self.previous else Stages()
+
+    @property
+    def reading(self) -> Reading:
+        """By which stamps logs are read, and which part of them."""
+        return with_used_parts(self.options.reading, self.documents)
 
     @property
     def sources(self) -> list[Path]:
@@ -129,7 +135,8 @@ def prepare(
     arm = robot_of(robot, models)
     remarks: tuple[str, ...] = ()
     if arm.locked:
-        posture = _in_posture(chosen, arm, go_on=options.skip_failed)
+        reading = with_used_parts(options.reading, [file for _, file in models])
+        posture = _in_posture(chosen, arm, reading, go_on=options.skip_failed)
         arm = posture.robot
         chosen = posture.logs
         missing = (*missing, *posture.failed)
@@ -164,7 +171,11 @@ class _Posture:
 
 
 def _in_posture(
-    logs: tuple[Path | Recording, ...], robot: Robot, *, go_on: bool
+    logs: tuple[Path | Recording, ...],
+    robot: Robot,
+    reading: Reading,
+    *,
+    go_on: bool,
 ) -> _Posture:
     """Take joints that the robot file leaves out where they stand in the logs.
 
@@ -177,7 +188,7 @@ def _in_posture(
     failed: list[InputError] = []
     arm = robot
     for log in logs:
-        of_log = standing_joints(log, robot) if isinstance(log, Path) else []
+        of_log = standing_joints(log, robot, reading) if isinstance(log, Path) else []
         try:
             arm = in_logged_posture(robot, [*standing, *of_log])
         except InputError as error:
@@ -202,6 +213,24 @@ def _in_posture(
     for text in remarks:
         warn(text)
     return _Posture(robot=arm, logs=tuple(usable), failed=failed, remarks=remarks)
+
+
+def with_used_parts(reading: Reading, files: Iterable[ParameterFile]) -> Reading:
+    """Return how logs are read, with the parts of logs that files say were used.
+
+    A log of which stages used different parts is read as a whole.
+    """
+    parts: dict[str, set[LogPart]] = {}
+    for file in files:
+        held_out = file.closed_loop.held_out if file.closed_loop else []
+        for log in (*file.inputs, *held_out):
+            parts.setdefault(log.sha256, set()).add(part_of_words(log.part))
+    part_by_sha256 = {
+        sha256: next(iter(used))
+        for sha256, used in parts.items()
+        if len(used) == 1 and any(used)
+    }
+    return replace(reading, part_by_sha256=part_by_sha256)
 
 
 def read_models(sources: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:

@@ -17,7 +17,7 @@ from seqid_cli.inspect.findings import USABLE_AT_MOST, grouped, located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import open_screened, read_screened
 from seqid_cli.logs.given import warn
-from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Recording, UniformLog
 from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
@@ -39,7 +39,7 @@ class LogSet:
     Iterate over it once, or have it `mapped` once; what was `read`, the `findings` and
     what is `left_out` are complete afterwards. Warnings come as the logs are read. Of
     logs with the same content the first counts. `logs`: a recording is taken as it is,
-    without checks. `time_source` {"header", "log"}: which stamps of an MCAP log count.
+    without checks. `reading`: by which stamps logs are read, and which part of them.
     `imus`: whether the readings of IMUs are used, and hence checked. `checks`: whether
     logs that are held are checked; those that a parameter file names were, by the stage
     that was made of them. `skip_failed`: whether logs that cannot be used are left out.
@@ -49,7 +49,7 @@ class LogSet:
 
     logs: Sequence[Path | Recording]
     robot: Robot
-    time_source: TimeSource = "header"
+    reading: Reading = HEADER_STAMPS
     imus: bool = True
     checks: bool = True
     skip_failed: bool = False
@@ -71,7 +71,7 @@ class LogSet:
         logs = cls(
             logs=inputs.logs,
             robot=inputs.robot,
-            time_source=inputs.options.time_source,
+            reading=inputs.reading,
             imus=has_imu_stage if imus is None else imus,
             skip_failed=inputs.options.skip_failed,
             executor=inputs.executor,
@@ -92,9 +92,9 @@ class LogSet:
             if isinstance(log, Recording):
                 held = log
             else:
-                held = read_screened(
-                    log, self.robot, time_source=self.time_source, imus=imus
-                )[0]
+                held = read_screened(log, self.robot, reading=self.reading, imus=imus)[
+                    0
+                ]
             self._date(held.path, (held.start, held.start + held.length))
             yield held
 
@@ -107,6 +107,7 @@ class LogSet:
                 samples=log.samples,
                 stage=stage,
                 recorded=recorded_between(*log.stamps_s) if log.stamps_s else [],
+                part=self.reading.part_of(log.sha256).words,
             )
             for log in self.read
         ]
@@ -184,7 +185,7 @@ class LogSet:
         # logs, or where none can.
         task = _Task(
             robot=self.robot,
-            time_source=self.time_source,
+            reading=self.reading,
             part=part,
             pass_over_from=pass_over_from,
             imus=self.imus,
@@ -258,6 +259,12 @@ class LogSet:
             elif finding.message in note.warnings:
                 warn(_in_words([finding]))
 
+        if not self.reading.part and self.reading.part_of(note.sha256):
+            words = " ".join(self.reading.part_of(note.sha256).words)
+            warn(
+                f"{note.path}: the part of it is used that the parameter file was made"
+                f" of ({words}); --from 0 takes all of it"
+            )
         finding_texts = {finding.message for finding in note.findings}
         texts = [text for text in note.warnings if text not in finding_texts]
         if note.partial:
@@ -332,7 +339,7 @@ class _Task(Generic[P]):
     """Reads a log and takes its part; relative paths start from `folder`."""
 
     robot: Robot
-    time_source: TimeSource
+    reading: Reading
     part: PartOf[Any, P]
     pass_over_from: int | None
     imus: bool
@@ -351,7 +358,7 @@ class _Task(Generic[P]):
             opened = open_screened(
                 place,
                 self.robot,
-                time_source=self.time_source,
+                reading=self.reading,
                 imus=self.imus,
                 checks=self.checks,
                 pass_over_from=self.pass_over_from,

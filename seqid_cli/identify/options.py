@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
 
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.settings import InertiaSettings
+from seqid_cli.logs.reading import ALL, LogPart, Reading, TimeSource
 from seqid_cli.motion.options import MotionOptions
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 # Order over position that friction may have: trials are reduced to functions up to it.
 MAX_POSITION_ORDER = 10
 
-TimeSource = Literal["header", "log"]
 Source = Literal["auto", "encoder", "imu", "fused"]
 
 
@@ -30,13 +30,20 @@ class LogOptions:
 
     `cutoff_hz` is the low-pass cut-off; that of the model, or chosen from the logs,
     where it is None. `time_source` says which stamps of an MCAP log count: those in the
-    messages, or the times of logging. With `skip_failed` logs that cannot be used are
-    left out, and warned of.
+    messages, or the times of logging. `part` is the part of each log that is used; all
+    of it by default, or what an earlier stage used of the same log. With `skip_failed`
+    logs that cannot be used are left out, and warned of.
     """
 
     cutoff_hz: float | None = None
     time_source: TimeSource = "header"
+    part: LogPart = ALL
     skip_failed: bool = False
+
+    @property
+    def reading(self) -> Reading:
+        """By which stamps logs are read, and which part of them."""
+        return Reading(time_source=self.time_source, part=self.part)
 
 
 @dataclass(frozen=True, kw_only=True)

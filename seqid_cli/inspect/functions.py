@@ -12,13 +12,14 @@ from seqid_cli.errors import UsageError
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
+from seqid_cli.logs.reading import ALL, LogPart, Reading
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
-    from seqid_cli.logs.raw import TimeSource
+    from seqid_cli.logs.reading import TimeSource
     from seqid_cli.robot.types import Robot
 
 
@@ -28,6 +29,7 @@ def inspect(
     *,
     settings: InspectSettings = InspectSettings(),
     time_source: TimeSource = "header",
+    part: LogPart = ALL,
     plan: PathLike | None = None,
     output: PathLike | None = None,
     on_progress: Callable[[Progress], None] | None = None,
@@ -44,6 +46,8 @@ def inspect(
         Numbers that decide; `seqid inspect --show-settings` lists them.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
+    part : LogPart
+        The part of each log that is looked at; all of it by default.
     plan : path, optional
         A plan file: which of its moves are recorded goes into `planned`.
     output : path, optional
@@ -74,11 +78,12 @@ def inspect(
     # Imported here because it imports numpy: a mistake in the arguments is told first.
     from seqid_cli.inspect.inspection import inspect_logs
 
+    reading = Reading(time_source=time_source, part=part)
     report = inspect_logs(
         files,
         arm,  # type: ignore[arg-type]
         settings=settings,
-        time_source=time_source,
+        reading=reading,
         on_progress=on_progress,
     )
     if plan is not None:
@@ -88,7 +93,7 @@ def inspect(
             Path(plan),
             arm,  # type: ignore[arg-type]
             files,
-            time_source,
+            reading,
             settings,
         )
         report = structs.replace(report, planned=parts)

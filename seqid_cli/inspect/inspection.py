@@ -20,8 +20,8 @@ from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.pieces import read_parts
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
@@ -42,7 +42,7 @@ def inspect_logs(
     robot: Robot | None = None,
     *,
     settings: InspectSettings = InspectSettings(),
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
     """Inspect logs, and what they make together.
@@ -55,8 +55,8 @@ def inspect_logs(
         The arm; joints are guessed without it.
     settings : InspectSettings
         Numbers that decide.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     on_progress : callable, optional
         Given a `Progress` before each log.
 
@@ -74,9 +74,7 @@ def inspect_logs(
                 Progress(state="reading", done=done, total=len(paths), log=str(path))
             )
         with local_copy(path) as file:
-            inspected = inspect_log(
-                file, robot, settings=settings, time_source=time_source
-            )
+            inspected = inspect_log(file, robot, settings=settings, reading=reading)
         # A log on object storage is named by its address, not by the copy.
         logs.append(structs.replace(inspected.log, path=str(path)))
         findings_of_logs += located(inspected.findings, path)
@@ -119,7 +117,7 @@ def inspect_log(
     robot: Robot | None = None,
     *,
     settings: InspectSettings = InspectSettings(),
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
     robot_joints: Sequence[str] = (),
 ) -> Inspected:
     """Inspect one log.
@@ -132,8 +130,8 @@ def inspect_log(
         The arm; joints are guessed without it, and where the log does not have them.
     settings : InspectSettings
         Numbers that decide.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     robot_joints : sequence of str
         Names that the robot has, for a guess.
 
@@ -150,7 +148,7 @@ def inspect_log(
     reader = _Reader(
         path=path,
         form=contents.format,
-        time_source=time_source,
+        reading=reading,
         settings=settings,
     )
     names = list(contents.channels)
@@ -160,7 +158,7 @@ def inspect_log(
     if robot is not None:
         missing, findings = _missing_imus(robot, names)
         try:
-            posture, left_out = _of_joints_left_out(path, robot)
+            posture, left_out = _of_joints_left_out(path, robot, reading)
             inspected = reader.inspect(posture, [*findings, *left_out], modelled=True)
         except InputError as error:
             problem = error
@@ -189,7 +187,7 @@ class _Reader:
 
     path: Path
     form: str
-    time_source: TimeSource
+    reading: Reading
     settings: InspectSettings
 
     def inspect(
@@ -208,7 +206,7 @@ class _Reader:
         """
         gathered = Gathered(robot=robot, modelled=modelled)
         first_stamp_ns = None
-        log = LogFile.at(self.path, time_source=self.time_source)
+        log = LogFile.at(self.path, reading=self.reading)
         for recording, raw in read_parts(log, robot, failed=gathered.failed):
             data = LogData(
                 recording=recording,
@@ -226,10 +224,10 @@ class _Reader:
 
 
 def _of_joints_left_out(
-    path: Path, robot: Robot
+    path: Path, robot: Robot, reading: Reading
 ) -> tuple[Robot, list[InspectionFinding]]:
     """Return the robot with joints that its file leaves out as they stand in a log."""
-    left_out = standing_joints(path, robot)
+    left_out = standing_joints(path, robot, reading)
     findings = [
         finding_of(
             "joint_left_out" if standing.moves else "joint_stands",

@@ -22,7 +22,7 @@ from scipy.signal import correlate
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.screening import Screened, read_screened
 from seqid_cli.inspect.settings import InspectSettings
-from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.io import read_any
 from seqid_cli.params.results.inspection import PlannedPart
@@ -38,7 +38,7 @@ def recorded_parts(
     plan: Path,
     robot: Robot,
     logs: Sequence[Path],
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
     settings: InspectSettings = InspectSettings(),
 ) -> list[PlannedPart]:
     """Return for each move of a plan whether it is recorded, missing or spoiled.
@@ -51,8 +51,8 @@ def recorded_parts(
         The arm that it is of.
     logs : sequence of Path
         Logs in which the moves are looked for.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     settings : InspectSettings
         What spoils a move is found by them.
 
@@ -71,9 +71,7 @@ def recorded_parts(
         hint = f"It is of {file.robot.name}: give that robot file."
         raise ConfigError("is a plan for other joints", where=str(plan), hint=hint)
     screened = (
-        read_screened(
-            log, robot, imus=False, time_source=time_source, settings=settings
-        )
+        read_screened(log, robot, imus=False, reading=reading, settings=settings)
         for log in logs
     )
     return compared(file, robot.joint_names, screened)

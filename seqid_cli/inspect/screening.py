@@ -20,8 +20,9 @@ from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.long import Bridge, LongLog, open_if_long
-from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream
 from seqid_cli.logs.read import read_both
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Block, Health, Recording
 from seqid_cli.logs.tables.parquet import BLOCK_ROWS
 from seqid_cli.motion.blocks import joined, overlapping
@@ -67,7 +68,7 @@ def read_screened(
     path: Path,
     robot: Robot,
     *,
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
     imus: bool = True,
     settings: InspectSettings = InspectSettings(),
 ) -> Screened:
@@ -79,8 +80,8 @@ def read_screened(
         A log of any format that can be read.
     robot : Robot
         The arm.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     imus : bool
         Whether its IMUs are used, and hence checked.
     settings : InspectSettings
@@ -96,7 +97,7 @@ def read_screened(
     InputError
         As `read_recording`, or its time is in another unit.
     """
-    recording, raw = read_both(path, robot, time_source=time_source)
+    recording, raw = read_both(path, robot, reading=reading)
     data = LogData(recording=recording, raw=raw, robot=robot, settings=settings)
     checked, findings, _ = check(data, imus=imus, quality=False)
     _refuse_other_time(findings, path)
@@ -114,7 +115,7 @@ def open_screened(
     path: Path,
     robot: Robot,
     *,
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
     imus: bool = True,
     checks: bool = True,
     pass_over_from: int | None = None,
@@ -127,8 +128,8 @@ def open_screened(
         A local log of any format that can be read.
     robot : Robot
         The arm.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
     imus : bool
         Whether its IMUs are used, and hence checked, where it is held.
     checks : bool
@@ -138,13 +139,13 @@ def open_screened(
         Samples from which on a log is passed over where it can be; None holds all.
     """
     if pass_over_from is not None:
-        long = open_if_long(path, robot, time_source=time_source, least=pass_over_from)
+        long = open_if_long(path, robot, reading=reading, least=pass_over_from)
         if long is not None:
             return Opened(*screened_long(long, robot))
     if not checks:
-        recording, raw = read_both(path, robot, time_source=time_source)
+        recording, raw = read_both(path, robot, reading=reading)
         return Opened(sound(recording, raw, robot), ())
-    return Opened(*read_screened(path, robot, time_source=time_source, imus=imus))
+    return Opened(*read_screened(path, robot, reading=reading, imus=imus))
 
 
 def screened_long(

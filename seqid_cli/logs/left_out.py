@@ -17,6 +17,7 @@ from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.publishers import second_publisher
 from seqid_cli.logs.raw import Stamps, Stream
 from seqid_cli.logs.read import without_absurd
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.name_words import QUANTITIES
 from seqid_cli.robot.file import load_robot
@@ -62,7 +63,9 @@ class Standing:
         )
 
 
-def standing_joints(path: Path, robot: Robot) -> list[Standing]:
+def standing_joints(
+    path: Path, robot: Robot, reading: Reading = HEADER_STAMPS
+) -> list[Standing]:
     """Look up where joints of the chain that the robot file leaves out are in a log."""
     if not robot.locked:
         return []
@@ -70,12 +73,12 @@ def standing_joints(path: Path, robot: Robot) -> list[Standing]:
     arm: list[_ArmSamples] = []
     with local_copy(path) as copy:
         for joint in robot.locked:
-            blocks = list(_blocks_of(copy, _alone(joint, robot)))
+            blocks = list(_blocks_of(copy, _alone(joint, robot), reading))
             if not blocks:
                 continue
             # Zeros of a second publisher would make a joint that stands look as if it
             # moved. The joints of the robot file tell which messages are the robot's.
-            arm = arm or list(_arm_samples(copy, robot))
+            arm = arm or list(_arm_samples(copy, robot, reading))
             parts = [
                 block.channels["position"][of_arm.published(block), 0]
                 for block, of_arm in zip(blocks, arm, strict=False)
@@ -175,18 +178,18 @@ def _by_name(pattern: Columns | None) -> Columns | None:
     return pattern if is_general else None
 
 
-def _blocks_of(path: Path, robot: Robot) -> Iterator[Stream]:
+def _blocks_of(path: Path, robot: Robot, reading: Reading) -> Iterator[Stream]:
     """Read the joints of a robot block by block, as far as the log holds them."""
     try:
-        for raw in LogFile.at(path).blocks(robot):
+        for raw in LogFile.at(path, reading=reading).blocks(robot):
             yield raw.joints
     except InputError:
         return
 
 
-def _arm_samples(path: Path, robot: Robot) -> Iterator[_ArmSamples]:
+def _arm_samples(path: Path, robot: Robot, reading: Reading) -> Iterator[_ArmSamples]:
     """Tell whose samples of the arm's joints are, in the blocks of `_blocks_of`."""
-    for block in _blocks_of(path, replace(robot, imus=())):
+    for block in _blocks_of(path, replace(robot, imus=()), reading):
         joints = without_absurd(block, [])
         by_robot = np.ones(len(joints), np.bool_)
         try:

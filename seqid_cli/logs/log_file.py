@@ -29,10 +29,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.mcap.records import read_summary
-from seqid_cli.logs.raw import BlockReader, RawLog, TimeSource
+from seqid_cli.logs.raw import STAMP_LIMIT_NS, BlockReader, RawLog, Stream
+from seqid_cli.logs.reading import HEADER_STAMPS, LogPart, Reading
 from seqid_cli.logs.storage import files
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
@@ -63,8 +66,8 @@ class LogFile:
         What is read: the same, or the one file in the folder of a bag.
     format : str
         As of `check_log`.
-    time_source : {"header", "log"}
-        MCAP and bags only: the stamps in the messages, or the times of logging.
+    reading : Reading
+        By which stamps it is read, and which part of it.
     state : State
         What differs once the file is another one.
     """
@@ -72,11 +75,11 @@ class LogFile:
     path: Path
     file: Path
     format: str
-    time_source: TimeSource
+    reading: Reading
     state: files.State
 
     @classmethod
-    def at(cls, path: Path, *, time_source: TimeSource = "header") -> "LogFile":
+    def at(cls, path: Path, *, reading: Reading = HEADER_STAMPS) -> "LogFile":
         """Look at a local log; its content tells its format.
 
         Raises
@@ -84,11 +87,12 @@ class LogFile:
         InputError
             There is no log, or none that can be read.
         UsageError
-            `time_source` is not known.
+            The source of its stamps is not known.
         """
-        if time_source not in ("header", "log"):
+        if reading.time_source not in ("header", "log"):
             raise UsageError(
-                f"time source {time_source!r} is not known", hint="Use header or log."
+                f"time source {reading.time_source!r} is not known",
+                hint="Use header or log.",
             )
         kind = files.check_log(path)
         file = files.storage_file(path)
@@ -96,9 +100,7 @@ class LogFile:
             state = files.state_of(file)
         except OSError as error:
             raise InputError(f"cannot be read ({error})", where=str(path)) from error
-        return cls(
-            path=path, file=file, format=kind, time_source=time_source, state=state
-        )
+        return cls(path=path, file=file, format=kind, reading=reading, state=state)
 
     @property
     def blockwise(self) -> bool:
@@ -116,20 +118,54 @@ class LogFile:
         return files.sha256_of(self.file)
 
     def blocks(self, robot: Robot) -> Iterator[RawLog]:
-        """Pass over the log block by block.
+        """Pass over the part of the log that is used, block by block.
 
-        Raises InputError where it cannot be read, lacks a channel or changes.
+        Raises InputError where it cannot be read, lacks a channel or changes, or where
+        nothing of it is used.
         """
         with files.unchanged(self.file, self.state):
-            yield from _READERS[self.format](self.file, robot, self.time_source)
+            blocks = _READERS[self.format](self.file, robot, self.reading.time_source)
+            yield from self._used(blocks)
 
     def whole(self, robot: Robot) -> RawLog:
-        """Read the log as one block, positions that wrap made to run on."""
+        """Read the part that is used as one block, positions made to run on."""
         with files.unchanged(self.file, self.state):
-            (raw,) = _READERS[self.format](
-                self.file, robot, self.time_source, rows=None
+            blocks = _READERS[self.format](
+                self.file, robot, self.reading.time_source, rows=None
             )
+            (raw,) = self._used(blocks)
         return running_on(raw, robot)
+
+    def _used(self, blocks: Iterator[RawLog]) -> Iterator[RawLog]:
+        """Take what is not used out of the blocks of a log."""
+        reading = self.reading
+        part = reading.part or (
+            reading.part_of(self.sha256) if reading.part_by_sha256 else reading.part
+        )
+        if not part:
+            yield from blocks
+            return
+
+        cut: _Cut | None = None
+        n_used = 0
+        first_ns = last_ns = 0
+        for raw in blocks:
+            if cut is None and len(raw.joints):
+                first_ns = int(raw.joints.stamp_ns[0])
+                cut = _Cut.of(part, first_ns)
+            if cut is not None:
+                last_ns = max(last_ns, int(raw.joints.stamp_ns.max(initial=0)))
+                raw = cut.without(raw)
+                n_used += len(raw.joints)
+            yield raw
+        if not n_used:
+            raise InputError(
+                f"nothing of it is used by {' '.join(part.words)}: it runs from"
+                f" @{first_ns * 1e-9:.6f} to @{last_ns * 1e-9:.6f} s, which is"
+                f" {(last_ns - first_ns) * 1e-9:.3f} s",
+                hint="Give moments within it, or leave this log out.",
+                where=str(self.path),
+            )
 
     def likely_rows(self) -> int:
         """Estimate the rows without reading them; 0 where nothing tells it."""
@@ -147,6 +183,40 @@ class LogFile:
                 return int(statistics.message_count)
             return size // _BYTES_PER_MESSAGE
         return 0
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Stamps [ns] of a log between which nothing is used, in any order."""
+
+    ranges_ns: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(cls, part: LogPart, first_ns: int) -> "_Cut":
+        """Find what is left out of a log whose first sample has a stamp [ns]."""
+        ranges = [
+            (start.ns(first_ns), stop.ns(first_ns)) for start, stop in part.excluded
+        ]
+        if part.start is not None:
+            ranges.append((-STAMP_LIMIT_NS, part.start.ns(first_ns) - 1))
+        if part.stop is not None:
+            ranges.append((part.stop.ns(first_ns) + 1, STAMP_LIMIT_NS))
+        return cls(tuple(ranges))
+
+    def without(self, raw: RawLog) -> RawLog:
+        """Return a block without the samples between these stamps."""
+        imus = {
+            name: tuple(map(self._rest, streams)) for name, streams in raw.imus.items()
+        }
+        return replace(
+            raw, joints=self._rest(raw.joints), imus=imus, cuts_ns=self.ranges_ns
+        )
+
+    def _rest(self, stream: Stream) -> Stream:
+        is_used = np.ones(len(stream), np.bool_)
+        for start_ns, stop_ns in self.ranges_ns:
+            is_used &= (stream.stamp_ns < start_ns) | (stream.stamp_ns > stop_ns)
+        return stream if is_used.all() else stream.take(is_used)
 
 
 def running_on(raw: RawLog, robot: Robot) -> RawLog:

@@ -22,8 +22,9 @@ from seqid_cli.logs.log_file import LogFile, likely_rows
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.publishers import second_publisher
-from seqid_cli.logs.raw import RawLog, Stamps, Stream, TimeSource, joined
+from seqid_cli.logs.raw import RawLog, Stamps, Stream, joined
 from seqid_cli.logs.read import ABSURD, with_torque
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Block, Range, Recording, Whole
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
@@ -195,7 +196,7 @@ def open_long(
     path: Path,
     robot: Robot,
     *,
-    time_source: TimeSource = "header",
+    reading: Reading = HEADER_STAMPS,
 ) -> LongLog | None:
     """Pass over a log once and lay its time base.
 
@@ -205,8 +206,8 @@ def open_long(
         A file, or the folder of a ROS 2 bag.
     robot : Robot
         Names of joints and channels; drive data that turn current into torque.
-    time_source : {"header", "log"}
-        MCAP only: the stamps in the messages, or the times of logging.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
 
     Returns
     -------
@@ -218,7 +219,7 @@ def open_long(
     InputError
         The file cannot be read, lacks a channel or changes.
     """
-    file = LogFile.at(path, time_source=time_source)
+    file = LogFile.at(path, reading=reading)
     if not file.blockwise:
         return None
     first_pass = FirstPass()
@@ -242,7 +243,7 @@ def open_long(
 
 
 def open_if_long(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int
+    path: Path, robot: Robot, *, reading: Reading = HEADER_STAMPS, least: int
 ) -> LongLog | None:
     """Open a log of `least` samples or more to be passed over.
 
@@ -250,7 +251,7 @@ def open_if_long(
     """
     if likely_rows(path) < least:
         return None
-    log = open_long(path, robot, time_source=time_source)
+    log = open_long(path, robot, reading=reading)
     return log if log is not None and log.samples >= least else None
 
 

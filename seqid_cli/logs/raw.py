@@ -8,19 +8,19 @@ of a stream, w the number of columns of one quantity, n the number of joints.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.reading import TimeSource as TimeSource  # as others import it
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
 Rows = NDArray[np.intp]
-TimeSource = Literal["header", "log"]
 
 STAMP_LIMIT_NS = 4_000_000_000_000_000_000  # year 2096; differences stay inside 64 bits
 ACCELEROMETERS = "accelerometers"
@@ -70,6 +70,8 @@ class RawLog:
     warnings: tuple[str, ...] = ()
     log_minus_header_s: float | None = None  # median delay from stamp to logging
     prefer_current: bool = False  # current gives the torque, even beside a torque
+    # stamps between which samples are left out because a user said so [ns]
+    cuts_ns: tuple[tuple[int, int], ...] = ()
 
 
 class BlockReader(Protocol):

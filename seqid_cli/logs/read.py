@@ -23,8 +23,8 @@ from seqid_cli.logs.raw import (
     GYRO,
     RawLog,
     Stream,
-    TimeSource,
 )
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
@@ -36,7 +36,7 @@ ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
 def read_recording(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header"
+    path: Path, robot: Robot, *, reading: Reading = HEADER_STAMPS
 ) -> Recording:
     """Read one log on a uniform time base.
 
@@ -46,8 +46,8 @@ def read_recording(
         A file, whose content tells its format, or the folder of a ROS 2 bag.
     robot : Robot
         Names of joints, channels and IMUs; drive data that turn current into torque.
-    time_source : {"header", "log"}
-        MCAP and bags only: the stamps in the messages, or the times of logging.
+    reading : Reading
+        By which stamps logs are read, and which part of them.
 
     Returns
     -------
@@ -61,21 +61,21 @@ def read_recording(
     InputError
         The file cannot be read, lacks a channel or is too short.
     UsageError
-        `time_source` is not known.
+        The source of its stamps is not known.
     """
-    recording, _ = read_both(path, robot, time_source=time_source)
+    recording, _ = read_both(path, robot, reading=reading)
     return recording
 
 
 def read_both(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header"
+    path: Path, robot: Robot, *, reading: Reading = HEADER_STAMPS
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged.
 
     The parameters and errors are those of `read_recording`, the results of `assemble`.
     """
     with local_copy(path) as copy:
-        log = LogFile.at(copy, time_source=time_source)
+        log = LogFile.at(copy, reading=reading)
         raw = log.whole(robot)
         recording, raw = assemble(log.file, log.format, log.sha256, raw, robot)
 

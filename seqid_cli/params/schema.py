@@ -59,7 +59,9 @@ class InputLog(Struct, kw_only=True):
     """One log that a stage read.
 
     `recorded` are its first and last stamp: dates in UTC where the stamps are dates,
-    else seconds of the log's own clock. Files of before it was known have none.
+    else seconds of the log's own clock. Files of before it was known have none. `part`
+    are the options `--from`, `--to` and `--exclude` of the part that was used; none
+    where all of it was.
     """
 
     path: str
@@ -67,6 +69,7 @@ class InputLog(Struct, kw_only=True):
     samples: int
     stage: str = ""
     recorded: list[str | float] = []
+    part: list[str] = []
 
 
 class UsedSettings(Struct, kw_only=True):

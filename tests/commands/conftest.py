@@ -22,6 +22,7 @@ from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts import Excerpts
 from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.screening import Opened
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -118,13 +119,13 @@ class Reader:
 
     warnings: tuple[str, ...] = ()
     partial: str = ""
-    time_source: str = ""
+    reading: Reading = HEADER_STAMPS
     findings: tuple[InspectionFinding, ...] = ()
 
     def open_screened(
-        self, path: Path, robot: Robot, *, time_source: str, **_: object
+        self, path: Path, robot: Robot, *, reading: Reading, **_: object
     ) -> Opened:
-        self.time_source = time_source
+        self.reading = reading
         recording = made_recording(
             np.zeros((SAMPLES, robot.n)),
             np.ones((SAMPLES, robot.n)),

@@ -129,7 +129,7 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     assert given == DiscoverOptions(
         InertiaOptions(motion=MotionOptions(12.0, origin="as given"), source="imu")
     )
-    assert reader.time_source == "log"
+    assert reader.reading.time_source == "log"
 
 
 def test_the_document(rig: Rig, library: Library) -> None:

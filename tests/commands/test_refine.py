@@ -134,7 +134,7 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
         max_effects=2,
         with_unexplained=True,
     )
-    assert reader.time_source == "log"
+    assert reader.reading.time_source == "log"
     assert not library.keep_unconfirmed
 
 

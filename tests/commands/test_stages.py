@@ -60,7 +60,7 @@ def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
         2,
         FrictionOptions(cutoff_hz=20.0, time_source="log", **own),
     )
-    assert reader.time_source == "log"
+    assert reader.reading.time_source == "log"
     file = read_parameters(rig.folder / "out.json")
     assert [(log.path, log.samples, log.stage) for log in file.inputs] == [
         ("a.parquet", SAMPLES, "friction"),

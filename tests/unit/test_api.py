@@ -39,6 +39,7 @@ ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
 ON_SCREEN_ONLY |= {"quiet", "verbose", "json", "no_color", "debug"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 OTHERWISE |= {"set_values", "show_settings"}  # settings
+OTHERWISE |= {"start", "stop", "exclude"}  # a part
 # a shell's script, a template, and the others in a row
 WITHOUT = {"completion", "init", "run"}
 
@@ -50,11 +51,13 @@ def test_functions_take_what_commands_take(name: str) -> None:
     packages = [getattr(seqid_cli, package) for package in seqid_cli.PACKAGES]
     found = [getattr(package, python_name, None) for package in packages]
     command, function = getattr(module, python_name), next(filter(callable, found))
-    asked = set(signatures.signature(command).parameters) - ON_SCREEN_ONLY - OTHERWISE
+    asked_for = set(signatures.signature(command).parameters)
+    asked = asked_for - ON_SCREEN_ONLY - OTHERWISE
     taken = signatures.signature(function).parameters
     options = taken["options"].default if "options" in taken else None
     known = set(taken) | set(getattr(options, "__dataclass_fields__", ()))
     assert asked - known == set()
+    assert "start" not in asked_for or "part" in known
     assert function.__doc__
     assert issubclass(_result(function), msgspec.Struct)
 

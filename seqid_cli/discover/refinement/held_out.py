@@ -36,7 +36,7 @@ from seqid_cli.identify.regression.equations import streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.long import LONG, LongLog, open_if_long
-from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import TorqueModel
@@ -246,7 +246,7 @@ class WholeLogs:
 
     paths: tuple[Path, ...]
     robot: Robot
-    time_source: TimeSource = "header"
+    reading: Reading = HEADER_STAMPS
 
     def errors(
         self, models: Sequence[Stages], options: InertiaOptions
@@ -288,12 +288,10 @@ class WholeLogs:
         """Open a log to pass over it, or read a short one; None if neither can be."""
         n_rows = likely_rows(file)
         if n_rows >= LONG:
-            opened = open_if_long(
-                file, self.robot, time_source=self.time_source, least=1
-            )
+            opened = open_if_long(file, self.robot, reading=self.reading, least=1)
             return None if opened is None else screened_long(opened, self.robot)[0]
         if n_rows:
-            screened = read_screened(file, self.robot, time_source=self.time_source)
+            screened = read_screened(file, self.robot, reading=self.reading)
             return screened.recording
         return None
 

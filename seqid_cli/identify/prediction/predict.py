@@ -381,8 +381,8 @@ class LongPrediction:
             if log.spool is None:
                 copy = stack.enter_context(local_copy(log.path))
                 if copy is not log.path:
-                    clock = log.file.time_source
-                    log = replace(log, file=LogFile.at(copy, time_source=clock))
+                    reading = log.file.reading
+                    log = replace(log, file=LogFile.at(copy, reading=reading))
 
             motions = motion_blocks(log.blocks(), self.plan)
             pieces = overlapping(motions, max(self.rows, 2 * margin), margin)

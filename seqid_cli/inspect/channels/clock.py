@@ -9,7 +9,7 @@ from msgspec import structs
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.scales import likely_unit_of_time, remedy_of_time
-from seqid_cli.logs.raw import gap_limit
+from seqid_cli.logs.raw import Stamps, gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.shares import percent
@@ -108,7 +108,7 @@ def _gap_findings(data: LogData) -> Iterator[InspectionFinding]:
 
 
 def _gaps(data: LogData) -> list[tuple[float, float]]:
-    """Return gaps without a row [s], but for the holes between episodes."""
+    """Return gaps without a row [s], but for those of episodes and of a user's word."""
     matches = map(_EPISODES.search, data.recording.health.warnings)
     holes_s = [float(match[1]) for match in matches if match]  # to three digits
     t = data.t
@@ -118,9 +118,19 @@ def _gaps(data: LogData) -> list[tuple[float, float]]:
         start = float(t[k])
         stop = float(t[k + 1])
         length = stop - start
+        stamps_ns = data.joints.stamp_ns[k : k + 2]
+        if any(_covers(cut_ns, stamps_ns) for cut_ns in data.raw.cuts_ns):
+            continue
         if not any(abs(length - hole) <= 0.01 * hole for hole in holes_s):
             gaps.append((start, stop))
     return gaps
+
+
+def _covers(cut_ns: tuple[int, int], gap_ns: Stamps, *, share: float = 0.5) -> bool:
+    """Tell whether what was left out on purpose is most of a gap between two stamps."""
+    start_ns, stop_ns = gap_ns.tolist()
+    common_ns = min(stop_ns, cut_ns[1]) - max(start_ns, cut_ns[0])
+    return bool(common_ns > share * (stop_ns - start_ns))
 
 
 def _warning_findings(data: LogData) -> Iterator[InspectionFinding]:

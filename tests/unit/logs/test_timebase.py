@@ -8,6 +8,7 @@ import pytest
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.reading import Reading
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.timebase import Base, resample
 from tests import Array
@@ -18,12 +19,12 @@ T0 = 1_700_000_000_000_000_000
 
 
 def read_times(
-    tmp_path: Path, t: Array, q: Array | None = None, **options: str
+    tmp_path: Path, t: Array, q: Array | None = None, **options: Reading
 ) -> Recording:
     path = write_parquet(
         tmp_path / "log.parquet", t, JOINTS, curve(t, 3) if q is None else q
     )
-    return read_recording(path, make_robot(), **options)  # type: ignore[arg-type]
+    return read_recording(path, make_robot(), **options)
 
 
 def test_uniform_samples_are_not_touched(tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_too_short(tmp_path: Path, count: int, rate: float) -> None:
 
 def test_unknown_time_source(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="publish"):
-        read_times(tmp_path, grid(), time_source="publish")
+        read_times(tmp_path, grid(), reading=Reading(time_source="publish"))  # type: ignore[arg-type]
 
 
 def test_bases_of_other_rates_do_not_alias() -> None:

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.reading import Reading
 from seqid_cli.logs.recording import Recording
 from tests.unit.logs import samples, writers
 from tests.unit.logs.samples import (
@@ -83,7 +84,7 @@ def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) ->
 def test_header_stamps_log_times_and_zeros(tmp_path: Path) -> None:
     path = samples.write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
     assert read_recording(path, ROBOT).health.log_minus_header_s == pytest.approx(0.003)
-    by_log = read_recording(path, ROBOT, time_source="log")
+    by_log = read_recording(path, ROBOT, reading=Reading(time_source="log"))
     path = samples.write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
     without = read_recording(path, ROBOT)
     assert without.health.log_minus_header_s is None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.channels import clock, positions, torques
+from seqid_cli.inspect.channels import clock, commands, positions, torques
 from seqid_cli.inspect.channels.positions import Break
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.angles import unit_by_equations
@@ -166,6 +166,7 @@ def check(
         findings += torques.torque_quality(data, spoilt_joints)
         findings += torques.temperature_findings(data)
         findings += torques.sensor_findings(data)
+        findings += commands.command_findings(data)
     if imus and not _all_spoilt(findings):
         findings += imu_findings(data)
     if not _all_spoilt(findings):

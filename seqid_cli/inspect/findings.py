@@ -159,6 +159,10 @@ WARNINGS: Mapping[str, str] = {
         "Check the unit of the torque, torque_constant and gear_ratio; if they are"
         " right, correct the URDF's effort limit."
     ),
+    "command_echo": "Log what the controller is asked for, not what it reports.",
+    "command_not_followed": (
+        "Check that both are of one joint, in one unit, and that the drive was on."
+    ),
     "zero_or_mass": (
         "Check the encoder's zero; if it is right, correct the URDF's <inertial>."
     ),

@@ -60,6 +60,18 @@ def _range(values: Sequence[Any], _: Sequence[int]) -> object:
     return [min(low for low, _ in values), max(high for _, high in values)]
 
 
+def _command(values: Sequence[Any], samples: Sequence[int]) -> object:
+    """Merge commands: of the longest part in which the joint follows them."""
+    following = [
+        (count, value)
+        for value, count in zip(values, samples, strict=True)
+        if value.mode
+    ]
+    if not following:
+        return values[0]
+    return max(following, key=lambda pair: pair[0])[1]
+
+
 _RULES: Mapping[str, Rule] = {
     # of logs
     "samples": _sum,
@@ -78,6 +90,7 @@ _RULES: Mapping[str, Rule] = {
     "effort": _first_word,
     "effort_rms": _rms,
     "temperature": _range,
+    "command": _command,
     # of IMUs
     "accelerometers": _largest,
     "gyro": _any,

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.errors import InputError
+from seqid_cli.inspect.channels.commands import commands_of
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
@@ -235,6 +236,7 @@ def _joint(data: LogData, j: int) -> InspectedJoint:
             if len(temperature)
             else None
         ),
+        command=commands_of(data, j),
     )
 
 

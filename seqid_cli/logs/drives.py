@@ -15,6 +15,7 @@ from seqid_cli.robot.types import Robot
 
 DEGREE = np.pi / 180.0  # rad
 TURN = 2.0 * np.pi  # rad
+_POSITIONS = ("position", "link_position", "command")
 
 
 def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
@@ -35,18 +36,7 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
         Positions [rad, m], velocities, torque [N m at the joint], current [A on the
         motor side]; `voltage` and `pwm` have become `current`.
     """
-    converted = dict(channels)
-    factor = unit_of_positions(robot)
-    if (factor != 1.0).any():
-        for quantity in ("position", "velocity", "link_position"):
-            if quantity in converted:
-                converted[quantity] = converted[quantity] * factor
-    if robot.channels.unit == "percent":
-        middle = _middle_of_range(robot)
-        for quantity in ("position", "link_position"):
-            if quantity in converted:
-                converted[quantity] = converted[quantity] + middle
-
+    converted = in_units(channels, robot)
     if robot.channels.effort == "gravity_compensated" and "torque" in converted:
         gravity_torque = _gravity_of_driver(converted["position"], robot)
         converted["torque"] = converted["torque"] + gravity_torque
@@ -88,6 +78,22 @@ def _middle_of_range(robot: Robot) -> Array:
     """Return the middle of each joint's range (n,) rad, m; NaN without limits."""
     limits = [joint.position_limits or (np.nan, np.nan) for joint in robot.joints]
     return np.array([0.5 * (low + high) for low, high in limits])
+
+
+def in_units(channels: dict[str, Array], robot: Robot) -> dict[str, Array]:
+    """Turn positions and velocities, measured or commanded, into rad (m) and rad/s."""
+    converted = dict(channels)
+    factor = unit_of_positions(robot)
+    if (factor != 1.0).any():
+        for quantity in (*_POSITIONS, "velocity", "command_velocity"):
+            if quantity in converted:
+                converted[quantity] = converted[quantity] * factor
+    if robot.channels.unit == "percent":
+        middle = _middle_of_range(robot)
+        for quantity in _POSITIONS:
+            if quantity in converted:
+                converted[quantity] = converted[quantity] + middle
+    return converted
 
 
 def _gravity_of_driver(q: Array, robot: Robot) -> Array:

@@ -39,7 +39,7 @@ from seqid_cli.logs.reading import HEADER_STAMPS, LogPart, Reading
 from seqid_cli.logs.storage import files
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.logs.turns import in_turns
+from seqid_cli.logs.turns import commands_in_turns, in_turns
 from seqid_cli.robot.types import Robot
 
 _READERS: dict[str, BlockReader] = {
@@ -226,7 +226,12 @@ def running_on(raw: RawLog, robot: Robot) -> RawLog:
         f"{name}: position wraps by whole turns {count} times; it is made to run on"
         for name, count in wraps_by_joint.items()
     ]
-    return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
+    commands = tuple(
+        commands_in_turns(stream, joints, robot) for stream in raw.commands
+    )
+    return replace(
+        raw, joints=joints, commands=commands, warnings=(*raw.warnings, *notes)
+    )
 
 
 def likely_rows(path: Path) -> int:

@@ -80,8 +80,8 @@ def _within(
 ) -> RawLog:
     """Select what lies between two stamps, without what was said of the whole.
 
-    IMUs have stamps of their own: of them a little more is taken, so that they cover
-    the joints' time.
+    IMUs and commands have stamps of their own: of them a little more is taken, so that
+    they cover the joints' time.
     """
     around_ns = int(around_s * 1e9)
     imus = {
@@ -93,7 +93,13 @@ def _within(
     }
     # Moments in seconds are rounded: a microsecond on either side.
     joints = _between(raw.joints, first_ns - 1000, last_ns + 1000)
-    return replace(raw, joints=joints, imus=imus, warnings=(), partial="")
+    commands = tuple(
+        _between(stream, first_ns - around_ns, last_ns + around_ns)
+        for stream in raw.commands
+    )
+    return replace(
+        raw, joints=joints, imus=imus, commands=commands, warnings=(), partial=""
+    )
 
 
 def _between(stream: Stream, first_ns: int, last_ns: int) -> Stream:
@@ -196,10 +202,15 @@ def _joined_blocks(blocks: Sequence[RawLog]) -> RawLog:
         n_streams = max(map(len, parts))
         complete = [part for part in parts if len(part) == n_streams]
         imus[name] = tuple(map(joined, zip(*complete, strict=True)))
+    commands: dict[str, list[Stream]] = {}
+    for block in blocks:
+        for stream in block.commands:
+            commands.setdefault(stream.name, []).append(stream)
     warnings = dict.fromkeys(text for block in blocks for text in block.warnings)
     return replace(
         blocks[-1],
         joints=joined([block.joints for block in blocks]),
         imus=imus,
+        commands=tuple(map(joined, commands.values())),
         warnings=tuple(warnings),
     )

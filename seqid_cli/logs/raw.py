@@ -44,7 +44,8 @@ class Stream:
     `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams
     hold position [rad], velocity [rad/s], torque, load [N m], current [A],
     link_position [rad], temperature [degC] by the robot's joints; IMU streams
-    `accelerometers` [m/s^2] and `gyro` [rad/s].
+    `accelerometers` [m/s^2] and `gyro` [rad/s]. Either joint streams or streams of
+    their own hold command [rad], command_velocity [rad/s], command_torque [N m].
     """
 
     name: str
@@ -69,6 +70,8 @@ class RawLog:
     partial: str = ""  # what was lost, where the log was salvaged
     warnings: tuple[str, ...] = ()
     log_minus_header_s: float | None = None  # median delay from stamp to logging
+    # commands with stamps of their own; others are channels of `joints`
+    commands: tuple[Stream, ...] = ()
     prefer_current: bool = False  # current gives the torque, even beside a torque
     # stamps between which samples are left out because a user said so [ns]
     cuts_ns: tuple[tuple[int, int], ...] = ()

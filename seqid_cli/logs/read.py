@@ -13,6 +13,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.clock import tidy
+from seqid_cli.logs.commands import commands_on_base
 from seqid_cli.logs.even_stamps import EvenStream
 from seqid_cli.logs.imu_streams import rate_of, without_zeros
 from seqid_cli.logs.log_file import LogFile
@@ -53,8 +54,8 @@ def read_recording(
     -------
     Recording
         Joints in the robot's order, SI units. `tau` is the logged torque [N m at the
-        joint], else current times torque constant and gear ratio. `temperature` is NaN
-        for joints that have none; everything else is finite.
+        joint], else current times torque constant and gear ratio. `temperature` and
+        commands are NaN for joints that have none; everything else is finite.
 
     Raises
     ------
@@ -160,6 +161,9 @@ def assemble(
     if np.isfinite(logged.channels.get("temperature", np.nan)).any():
         temperature = resample(logged, "temperature", base).values
 
+    messages = [without_absurd(stream, warnings) for stream in raw.commands]
+    commands = commands_on_base(logged, messages, base)
+
     warnings += [*tidied.warnings, *repair.warnings]
     imus = _read_imus(raw, robot, base, tidied.even, repair, warnings)
     recording = Recording(
@@ -186,6 +190,11 @@ def assemble(
         temperature=temperature,
         load=load,
         link_position=link_position,
+        command=commands.values.get("command"),
+        command_velocity=commands.values.get("command_velocity"),
+        command_torque=commands.values.get("command_torque"),
+        command_form=commands.form,
+        command_age=commands.age,
         accelerometers=imus.accelerometers,
         gyros=imus.gyros,
         start=base.start_ns * 1e-9,

@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -38,6 +38,8 @@ class Health:
 
 
 Range = tuple[float, float]  # s since a log's first sample
+# How commands were logged; `logs.commands` says what each means.
+CommandForm = Literal["", "sent", "held", "sampled"]
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,13 @@ class Recording:
     temperature: Array | None = None  # (N, n) degC
     load: Array | None = None  # (N, n) N m, a torque sensor behind the gear
     link_position: Array | None = None  # (N, n) rad, an encoder on the link side
+    # What the controller was asked for; NaN where a joint has no command, or not yet.
+    command: Array | None = None  # (N, n) rad
+    command_velocity: Array | None = None  # (N, n) rad/s
+    command_torque: Array | None = None  # (N, n) N m at the joint
+    command_form: CommandForm = ""
+    # (N,) s since the command was sent; None where commands have the rows' stamps
+    command_age: Array | None = None
     # (N, K) m/s^2 by IMU
     accelerometers: dict[str, Array] = field(default_factory=dict)
     gyros: dict[str, Array] = field(default_factory=dict)  # (N, 3) rad/s by IMU

@@ -49,10 +49,50 @@ def in_turns(
         lower, upper = joint.position_limits or (-np.pi, np.pi)
         unwrapped[:, j] = q + TURN * _turns_to_limits(q, lower, upper)
 
-    if np.array_equal(unwrapped, position, equal_nan=True):
-        return stream, wraps_by_joint
-    channels = {**stream.channels, "position": unwrapped}
-    return replace(stream, channels=channels), wraps_by_joint
+    turned = stream
+    if not np.array_equal(unwrapped, position, equal_nan=True):
+        turned = replace(stream, channels={**stream.channels, "position": unwrapped})
+    return commands_in_turns(turned, turned, robot, slack=slack), wraps_by_joint
+
+
+def commands_in_turns(
+    commands: Stream, joints: Stream, robot: Robot, *, slack: float = 0.05
+) -> Stream:
+    """Let commanded positions run on, and lie in the same turn as the positions.
+
+    Parameters
+    ----------
+    commands : Stream
+        Samples that may have `command` (M, n) [rad].
+    joints : Stream
+        Joint samples in the order of time, whose positions run on.
+    slack : float
+        As of `in_turns`.
+
+    Returns
+    -------
+    Stream
+        The same object where nothing has to be moved.
+    """
+    command = commands.channels.get("command")
+    if command is None or not len(joints):
+        return commands
+    rows = np.arange(len(joints))
+    if commands is not joints:
+        rows = np.searchsorted(joints.stamp_ns, commands.stamp_ns)
+        rows = np.minimum(rows, len(joints) - 1)
+
+    moved = command.copy()
+    for j, joint in enumerate(robot.joints):
+        if joint.prismatic or not np.isfinite(command[:, j]).any():
+            continue
+        run_on, _ = _unwrapped(command[:, j], slack)
+        difference = joints.channels["position"][rows, j] - run_on
+        if np.isfinite(difference).any():
+            moved[:, j] = run_on + TURN * np.rint(np.nanmedian(difference) / TURN)
+    if np.array_equal(moved, command, equal_nan=True):
+        return commands
+    return replace(commands, channels={**commands.channels, "command": moved})
 
 
 def _turns_to_limits(q: Array, lower: float, upper: float) -> int:

@@ -128,6 +128,11 @@ class Interfaces(Table, frozen=True):
     current: Annotated[
         str | None, Meta(description="in place of torque [A on the motor side]")
     ] = None
+    command: Annotated[
+        str | None, Meta(description="the commanded position: 'position_command'")
+    ] = None
+    command_velocity: Annotated[str | None, Meta(description="likewise")] = None
+    command_torque: Annotated[str | None, Meta(description="likewise")] = None
 
 
 class Channels(Table, frozen=True):
@@ -138,6 +143,14 @@ class Channels(Table, frozen=True):
         Meta(
             description="topic of the joint states in MCAP files and bags, such as"
             " '/left/joint_states'"
+        ),
+    ] = None
+    command_topic: Annotated[
+        str | None,
+        Meta(
+            description="topic of the commands in MCAP files and bags, a JointState"
+            " such as '/joint_commands'; states of joint trajectory controllers are"
+            " found without it"
         ),
     ] = None
     namespace: Annotated[
@@ -182,6 +195,9 @@ class Channels(Table, frozen=True):
     voltage: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     pwm: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     temperature: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    command: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    command_velocity: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    command_torque: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     effort: Annotated[
         Literal["torque", "current", "gravity_compensated"] | None,
         Meta(description="what the effort of a JointState is"),

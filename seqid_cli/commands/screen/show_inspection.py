@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results.inspection import (
     InspectedLog,
     InspectionFile,
@@ -188,6 +188,7 @@ def _details(screen: Screen, log: InspectedLog) -> None:
         delay_ms = number(1e3 * log.log_minus_header_s)
         screen.result(f"logged {delay_ms} ms after the header stamp")
     _joints(screen, log)
+    _commands(screen, log)
     _constant_velocity_moves(screen, log)
     if log.moving_together:
         screen.result(f"moving together: {', '.join(log.moving_together)}")
@@ -218,6 +219,28 @@ def _joints(screen: Screen, log: InspectedLog) -> None:
     )
     kinds = "text text number number number number text number text"
     screen.values(values(titles, kinds, rows))
+
+
+def _commands(screen: Screen, log: InspectedLog) -> None:
+    rows = []
+    for joint in log.joints:
+        command = joint.command
+        if command is None:
+            continue
+        lag_ms = None if command.lag_s is None else 1e3 * command.lag_s
+        error_ms = None if command.lag_std_s is None else 1e3 * command.lag_std_s
+        at_limit = None if command.saturated is None else percent(command.saturated)
+        row = (
+            joint.name,
+            command.form,
+            command.mode or None,
+            lag_ms,
+            error_ms,
+            at_limit,
+        )
+        rows.append(row)
+    titles = "command of | logged as | control | lag ms | error ms | at torque limit"
+    screen.values(values(titles, "text text text number number text", rows))
 
 
 def _constant_velocity_moves(screen: Screen, log: InspectedLog) -> None:

@@ -1,5 +1,6 @@
 """The messages of one topic, gathered and decoded: samples with one kind of stamp."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -28,6 +29,25 @@ class _Part(NamedTuple):
 
     log_ns: Stamps  # times of logging
     decoded: Decoded  # all of them good
+
+
+def _stacked(parts: Sequence[Array]) -> Array:
+    """Put rows (M, w) of one topic together; those of fewer quantities lack the last.
+
+    Types that hold commands as well have more quantities than a JointState.
+    """
+    width = max(part.shape[1] for part in parts)
+    even = [
+        np.pad(
+            part,
+            ((0, 0), (0, width - part.shape[1])),
+            constant_values=np.nan,
+        )
+        if part.shape[1] < width
+        else part
+        for part in parts
+    ]
+    return np.concatenate(even)
 
 
 @dataclass
@@ -90,7 +110,7 @@ class Collector:
             return Samples(np.zeros(0, np.int64), no_values, [], None)
         log_ns = np.concatenate([part.log_ns for part in parts])
         stamp_ns = np.concatenate([part.decoded.stamp_ns for part in parts])
-        values = np.concatenate([part.decoded.values for part in parts])
+        values = _stacked([part.decoded.values for part in parts])
 
         is_stamped = stamp_ns != 0
         n_unstamped = int(np.count_nonzero(~is_stamped))

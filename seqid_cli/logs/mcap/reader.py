@@ -10,9 +10,12 @@ from seqid_cli.logs.mcap.collector import Collector
 from seqid_cli.logs.mcap.records import Scan
 from seqid_cli.logs.mcap.topics import (
     any_finite,
+    command_stream,
     data_topic,
+    declared_command_topic,
     find_joint_topic,
     imu_stream,
+    is_command_topic,
     joint_stream,
     normal,
     state_topics,
@@ -104,12 +107,21 @@ def read_blocks(
             for topic in topics:
                 warnings += samples[topic].warnings
 
+        commands = [
+            command_stream(topic, samples[topic], robot) for topic in log.command_topics
+        ]
+        for topic in log.command_topics:
+            warnings += samples[topic].warnings
+        if is_last and channels.command_topic is not None:
+            log.check_commands()
+
         has_positions = has_positions or any_finite(joints.channels["position"])
         if is_last and not has_positions:
             raise _no_positions(names, path)
         yield RawLog(
             joints,
             imus,
+            commands=tuple(commands),
             partial=log.partial() if is_last else "",
             warnings=tuple(warnings),
             log_minus_header_s=joint_samples.delay_s,
@@ -124,6 +136,9 @@ def _interfaces(interface: Interfaces | None) -> dict[str, str]:
         "position": interface.position,
         "velocity": interface.velocity,
         "effort": interface.current or interface.torque,
+        "command": interface.command,
+        "command_velocity": interface.command_velocity,
+        "command_torque": interface.command_torque,
     }
     return {field: name for field, name in name_by_field.items() if name is not None}
 
@@ -177,6 +192,14 @@ class _Log:
         self.joint_topic = usual_joint_topic(channels)
         kinds: dict[str, Kind] = dict.fromkeys(imu_topics, "imu")
         kinds[self.joint_topic] = "joint_state"
+        declared = declared_command_topic(channels)
+        self.command_topics: list[str] = []
+        if declared is not None and declared != self.joint_topic:
+            self.command_topics.append(declared)
+            kinds[declared] = "joint_state"
+        # States of controllers are found by their type, where joints are looked for.
+        self._finds_commands = bool(names.joints) and declared is None
+        self._type_by_topic: dict[str, str] = {}
         self.collectors = {
             topic: Collector(topic, kind, names, time_source)
             for topic, kind in kinds.items()
@@ -185,7 +208,36 @@ class _Log:
         self.scan = scan(path, self._is_wanted)
 
     def _is_wanted(self, topic: str) -> bool:
-        return normal(topic) in self._wanted_topics
+        name = normal(topic)
+        return name in self._wanted_topics or self._finds_command_on(name)
+
+    def _finds_command_on(self, topic: str) -> bool:
+        """Return whether a topic is the state of a controller, by its type."""
+        if not self._finds_commands:
+            return False
+        if topic not in self._type_by_topic:
+            self._type_by_topic |= {
+                normal(info.topic): info.schema for info in _types(self.scan)
+            }
+        type_name = self._type_by_topic.get(topic, "")
+        return is_command_topic(topic, type_name, self.channels)
+
+    def check_commands(self) -> None:
+        """Raise InputError where the declared topic of commands is of no use."""
+        for topic in self.command_topics:
+            collector = self.collectors[topic]
+            if collector.readable:
+                continue
+            fault = "no messages on"
+            if collector.received:
+                fault = f"none of the {collector.received} messages can be read on"
+            raise InputError(
+                f"{fault} {topic}, the command_topic of the robot file; in the file:"
+                f" {_listing(self.scan)}",
+                hint="Name the topic of a sensor_msgs/msg/JointState, or leave"
+                " command_topic out.",
+                where=str(self.scan.path),
+            )
 
     def batches(self) -> Iterator[None]:
         """Pass over the file; again where the joint states are on another topic."""
@@ -200,6 +252,9 @@ class _Log:
 
         self.joint_topic = chosen
         self._wanted_topics = frozenset((chosen,))
+        self._finds_commands = False  # the first pass has them
+        if chosen in self.command_topics:
+            self.command_topics.remove(chosen)  # its commands are in the rows
         self.collectors[chosen] = Collector(
             chosen, "joint_state", usual.names, usual.time_source
         )
@@ -210,7 +265,14 @@ class _Log:
 
     def _pass(self) -> Iterator[None]:
         for batch in self.scan.batches():
-            self.collectors[normal(batch.channel.topic)].add(batch)
+            topic = normal(batch.channel.topic)
+            if topic not in self.collectors:
+                usual = self.collectors[self.joint_topic]
+                self.command_topics.append(topic)
+                self.collectors[topic] = Collector(
+                    topic, "controller_state", usual.names, usual.time_source
+                )
+            self.collectors[topic].add(batch)
             # the next chunk takes its memory, which the processor's cache still holds
             del batch
             yield
@@ -274,6 +336,13 @@ def _losses(scan: Scan) -> list[str]:
     elif faults:
         losses.append(f"{n_read} messages were read")
     return losses
+
+
+def _types(scan: Scan) -> Iterator[TopicInfo]:
+    """List the topics that a pass has met so far; messages are not counted."""
+    for channel in scan.channels.values():
+        schema = scan.schemas.get(channel.schema_id)
+        yield TopicInfo(channel.topic, schema.name if schema else "", 0)
 
 
 def _topics(scan: Scan) -> tuple[TopicInfo, ...]:

@@ -28,6 +28,7 @@ _KEPT_TYPES = (
     "sensor_msgs/msg/Imu",
     "std_msgs/msg/String",  # the robot's description
     "control_msgs/msg/DynamicJointState",
+    "control_msgs/msg/JointTrajectoryControllerState",
 )
 _ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -180,12 +181,16 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
                 f"its serialization is {', '.join(other_formats)}, not cdr"
             )
 
-        links = [
-            link
-            for link in bag.connections
-            if link.msgtype in _KEPT_TYPES and wanted(link.topic)
-        ]
-        yield _Bag(topics, lambda: _unpacked(bag.messages(links)))
+        def messages() -> Iterator[_Message]:
+            # Some topics are wanted for their type, which is known by now.
+            links = [
+                link
+                for link in bag.connections
+                if link.msgtype in _KEPT_TYPES and wanted(link.topic)
+            ]
+            yield from _unpacked(bag.messages(links))
+
+        yield _Bag(topics, messages)
     finally:
         bag.close()
 

@@ -5,11 +5,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from seqid_cli.logs.drives import in_si
+from seqid_cli.logs.drives import in_si, in_units
 from seqid_cli.logs.mcap.collector import Samples
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES
+from seqid_cli.logs.messages.parsers import CONTROLLER
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Stream
-from seqid_cli.logs.tables.name_words import COMMANDED
+from seqid_cli.logs.tables.name_words import COMMANDED, COMMANDS
 from seqid_cli.robot.toml_schema import Channels
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
@@ -70,7 +71,13 @@ def find_joint_topic(
         for topic, type_name in type_by_topic.items()
         if type_name.endswith("DynamicJointState")
     ]
-    for sure in (of_foxglove, dynamic):
+    # The state of a controller has positions as well, where nothing better is there.
+    controllers = [
+        topic
+        for topic, type_name in type_by_topic.items()
+        if type_name.endswith(CONTROLLER)
+    ]
+    for sure in (of_foxglove, dynamic, controllers):
         if len(sure) == 1:
             return sure[0]
     return None
@@ -117,8 +124,7 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
         stamps = stamps[is_of_robot]
         values = values[is_of_robot]
 
-    blocks = np.split(values, len(JOINT_QUANTITIES), axis=1)
-    by_quantity = dict(zip(JOINT_QUANTITIES, blocks, strict=True))
+    by_quantity = _by_quantity(values, robot)
     is_current = robot.channels.effort_is_current
     by_quantity["current" if is_current else "torque"] = by_quantity.pop("effort")
     channels = {
@@ -127,6 +133,53 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
         if quantity == "position" or any_finite(block)
     }
     return Stream(topic, stamps, in_si(channels, stamps, robot))
+
+
+def _by_quantity(values: Array, robot: Robot) -> dict[str, Array]:
+    """Part rows of joint states into quantities (M, n)."""
+    quantities = (*JOINT_QUANTITIES, *COMMANDS)
+    n_quantities = values.shape[1] // robot.n
+    blocks = np.split(values, n_quantities, axis=1)
+    return dict(zip(quantities[:n_quantities], blocks, strict=True))
+
+
+def declared_command_topic(channels: Channels) -> str | None:
+    """Name the topic of commands that the robot file says."""
+    declared = channels.command_topic
+    if declared is None:
+        return None
+    return normal(declared) if declared.startswith("/") else within(channels, declared)
+
+
+def is_command_topic(topic: str, type_name: str, channels: Channels) -> bool:
+    """Tell whether a topic is the state of a controller of this robot.
+
+    That is in the namespace of its joint states: another arm may have the same names.
+    """
+    beside = usual_joint_topic(channels).rpartition("/")[0]
+    return type_name.endswith(CONTROLLER) and topic.startswith(f"{beside}/")
+
+
+def command_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
+    """Make a stream of commands: a JointState that asks, or a controller's state."""
+    by_quantity = _by_quantity(samples.values, robot)
+    if COMMANDS[0] not in by_quantity:
+        effort = by_quantity["effort"]
+        if robot.channels.effort_is_current:
+            effort = effort * np.array(
+                [joint.torque_per_ampere for joint in robot.joints], np.float64
+            )
+        by_quantity = {
+            "command": by_quantity["position"],
+            "command_velocity": by_quantity["velocity"],
+            "command_torque": effort,
+        }
+    channels = {
+        quantity: by_quantity[quantity]
+        for quantity in COMMANDS
+        if any_finite(by_quantity[quantity])
+    }
+    return Stream(topic, samples.stamp_ns, in_units(channels, robot))
 
 
 def imu_stream(topic: str, samples: Samples, imu: Imu, channels: Channels) -> Stream:

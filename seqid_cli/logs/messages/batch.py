@@ -4,6 +4,8 @@ A message is what its parser makes of it: dictionaries of JSON, objects of proto
 of CDR the places of its numbers. Joint states have the fields of sensor_msgs'
 JointState, of control_msgs' DynamicJointState or of `foxglove.JointStates`:
 `timestamp`, and `joints` with `name` and optional `position`, `velocity` and `effort`.
+The state of a joint trajectory controller has points of a trajectory, `feedback` and
+`reference`, in older versions `actual` and `desired`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps
+from seqid_cli.logs.tables.name_words import COMMAND_NAMES, COMMANDS
 
 Bytes = NDArray[np.uint8]
-Kind = Literal["joint_state", "dynamic_joint_state", "imu"]
+Kind = Literal["joint_state", "dynamic_joint_state", "controller_state", "imu"]
 Decode = Callable[["Payloads"], "Decoded"]
 
 JOINT_QUANTITIES = ("position", "velocity", "effort")
@@ -78,7 +81,8 @@ class Decoded:
     """M decoded messages."""
 
     stamp_ns: Stamps  # (M,) of the headers
-    # (M, 3 n) positions, velocities, efforts; (M, 6) as IMU_FIELDS; NaN where missing
+    # (M, 3 n) positions, velocities, efforts, or (M, 6 n) with COMMANDS behind them;
+    # (M, 6) as IMU_FIELDS; NaN where missing
     values: Array
     good: Mask  # (M,) which could be decoded
 
@@ -139,7 +143,10 @@ class NameMap:
         """Return the values per row."""
         if kind == "imu":
             return len(IMU_FIELDS)
-        return len(JOINT_QUANTITIES) * len(self.joints)
+        n_quantities = len(JOINT_QUANTITIES)
+        if kind != "joint_state":
+            n_quantities += len(COMMANDS)
+        return n_quantities * len(self.joints)
 
     def pairs(self, names: Sequence[str]) -> list[tuple[int, int]]:
         """Pair entries in a message with joints of the robot.
@@ -172,6 +179,8 @@ def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
     row: list[object] = [None] * names.width(kind)
     if kind == "dynamic_joint_state":
         _fill_from_interfaces(row, message, names)
+    elif kind == "controller_state":
+        _fill_from_controller(row, message, names)
     elif field(message, "joints") is not None:
         _fill_from_joints(row, message, names)
     else:
@@ -194,7 +203,48 @@ def _fill_from_interfaces(row: list[object], message: object, names: NameMap) ->
         row[joint::n] = [
             by_quantity.get(names.interfaces.get(quantity, quantity))
             for quantity in JOINT_QUANTITIES
-        ]
+        ] + [_commanded(by_quantity, quantity, names) for quantity in COMMANDS]
+
+
+def _commanded(
+    by_interface: Mapping[str, object], quantity: str, names: NameMap
+) -> object:
+    """Return a command among the values of a joint; None where there is none."""
+    declared = names.interfaces.get(quantity)
+    for name in (declared,) if declared else COMMAND_NAMES[quantity]:
+        if name in by_interface:
+            return by_interface[name]
+    return None
+
+
+def _fill_from_controller(row: list[object], message: object, names: NameMap) -> None:
+    """Fill a row by the state of a joint trajectory controller.
+
+    The torque that it asks for is in its output where it commands effort.
+    """
+    entries = _texts(field(message, "joint_names"))
+    measured = _first_field(message, ("feedback", "actual"))
+    reference = _first_field(message, ("reference", "desired"))
+    output = field(message, "output")
+    fields = [(measured, "positions"), (measured, "velocities"), (measured, "effort")]
+    fields += [(reference, "positions"), (reference, "velocities")]
+    fields.append((output if _list(field(output, "effort")) else reference, "effort"))
+    arrays = [_list(field(point, name)) for point, name in fields]
+    for (_, name), array in zip(fields, arrays, strict=True):
+        if len(array) not in (0, len(entries)):
+            raise ValueError(f"{len(array)} {name} for {len(entries)} names")
+    n = len(names.joints)
+    for entry, joint in names.pairs(entries):
+        row[joint::n] = [array[entry] if array else None for array in arrays]
+
+
+def _first_field(message: object, keys: Sequence[str]) -> object:
+    """Return the first field of some names that a message has."""
+    for key in keys:
+        value = field(message, key)
+        if value is not None:
+            return value
+    return None
 
 
 def _fill_from_joints(row: list[object], message: object, names: NameMap) -> None:

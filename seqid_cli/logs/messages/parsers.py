@@ -27,6 +27,7 @@ from seqid_cli.logs.messages.cdr import LayoutDecoder
 from seqid_cli.logs.raw import STAMP_LIMIT_NS
 
 DYNAMIC = "DynamicJointState"  # how the name of the type ends
+CONTROLLER = "JointTrajectoryControllerState"  # likewise
 Parse = Callable[[bytes], object]
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -111,8 +112,12 @@ def _number(value: object) -> float:
 
 def kind_of(schema: Schema | None, kind: Kind) -> Kind:
     """Return how messages are read: joint states as their type says."""
-    if kind != "imu" and schema is not None and schema.name.endswith(DYNAMIC):
+    if kind == "imu" or schema is None:
+        return kind
+    if schema.name.endswith(DYNAMIC):
         return "dynamic_joint_state"
+    if schema.name.endswith(CONTROLLER):
+        return "controller_state"
     return kind
 
 
@@ -127,7 +132,7 @@ def decoder(
         The channel's encoding: cdr, ros1, json or protobuf.
     schema : Schema or None
         The definition of its messages in the file.
-    kind : {"joint_state", "dynamic_joint_state", "imu"}
+    kind : {"joint_state", "dynamic_joint_state", "controller_state", "imu"}
         How the messages are read.
     names : NameMap
         The joints whose values make a row.
@@ -174,6 +179,8 @@ def schema_parser(encoding: str, schema: Schema) -> Parse | None:
 
 def is_usual(schema: Schema | None, kind: Kind) -> bool:
     """Tell whether the definition is the one of sensor_msgs, or none is given."""
+    if kind == "controller_state":
+        return False  # its fields differ from version to version
     is_defined = schema is not None and schema.encoding in ("ros1msg", "ros2msg")
     if schema is None or not is_defined or not schema.data.strip():
         return True

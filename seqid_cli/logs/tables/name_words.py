@@ -17,7 +17,12 @@ QUANTITIES = (
     "voltage",
     "pwm",
     "temperature",
+    "command",
+    "command_velocity",
+    "command_torque",
 )
+# What a drive is asked for.
+COMMANDS = ("command", "command_velocity", "command_torque")
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 
@@ -70,6 +75,31 @@ NAMING_WORDS = {
         numbered="temperature temp joint_temperature joint_temperatures",
         proposed="temperatures temperatur",
     ),
+}
+# Likewise of commands. They are no quantities to guess: a column with such a word must
+# never be taken for what was measured.
+COMMAND_WORDS = {
+    "command": _Words(
+        named="command position_command command_position commanded_position"
+        " target_position goal_position desired_position position_target",
+        numbered="q_cmd q_des q_target q_ref target_q command_position"
+        " target_position goal_position desired_position",
+    ),
+    "command_velocity": _Words(
+        named="command_velocity velocity_command commanded_velocity target_velocity"
+        " desired_velocity velocity_target",
+        numbered="dq_cmd qd_cmd dq_des qd_des dq_target qd_target dq_ref target_qd"
+        " command_velocity target_velocity desired_velocity",
+    ),
+    "command_torque": _Words(
+        named="command_torque torque_command commanded_torque target_torque"
+        " desired_torque torque_target command_effort effort_command",
+        numbered="tau_cmd tau_des tau_target tau_ref command_torque target_torque"
+        " desired_torque",
+    ),
+}
+COMMAND_NAMES: Mapping[str, tuple[str, ...]] = {
+    quantity: tuple(words.named.split()) for quantity, words in COMMAND_WORDS.items()
 }
 # Words beside a quantity that tell what was commanded or measured, and are no joint.
 COMMANDED = frozenset(

@@ -6,18 +6,20 @@ element of a list. Schemes are filled with the joints of a robot file to find th
 columns (`find_scheme`), and read backwards to find joints without one
 (`joints_by_scheme`).
 
-Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5`
-(RTDE_Python_Client_Library, rtde/csv_writer.py); libfranka, `state.q[0]` ... and time
-in ms (src/logging/robot_state_log.cpp); LeRobot datasets, list columns
-`observation.state` and others.
+Sources: UR RTDE, `actual_q`, `target_q` and their like with `_0` ... `_5`
+(RTDE_Python_Client_Library, rtde/csv_writer.py); libfranka, `state.q[0]`,
+`state.q_d[0]` ... and time in ms (src/logging/robot_state_log.cpp); LeRobot datasets,
+list columns `observation.state`, `action` and others.
 """
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from seqid_cli.logs.tables.name_words import (
+    COMMAND_WORDS,
     COMMANDED,
+    COMMANDS,
     EFFORT,
     NAMING_WORDS,
     QUANTITIES,
@@ -36,8 +38,18 @@ _RTDE = {
     "torque": "actual_current_as_torque",
     "current": "actual_current",
     "temperature": "joint_temperatures",
+    "command": "target_q",
+    "command_velocity": "target_qd",
+    "command_torque": "target_moment",
 }
-_FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
+_FRANKA = {
+    "position": "q",
+    "velocity": "dq",
+    "torque": "tau_J",
+    "command": "q_d",
+    "command_velocity": "dq_d",
+    "command_torque": "tau_J_d",
+}
 _LEROBOT = {
     "position": "state",
     "velocity": "velocity state.velocity",
@@ -47,6 +59,7 @@ _LEROBOT = {
     "effort": "effort",
 }
 LEROBOT_STATE = "observation.state"
+LEROBOT_ACTION = "action"  # what the motors were asked for; its entries have own names
 EPISODES = ("episode_index", "episode_id", "episode")
 
 
@@ -82,10 +95,15 @@ def _scheme(
     return Scheme(patterns=patterns, time=time, time_unit=time_unit, of_lists=of_lists)
 
 
-_NAMED = {name: words.named for name, words in NAMING_WORDS.items() if words.named}
-_NUMBERED = {
-    name: words.numbered for name, words in NAMING_WORDS.items() if words.numbered
-}
+def _with_action(scheme: Scheme) -> Scheme:
+    """Add the command of a LeRobot data set, which is no observation."""
+    patterns = {**scheme.patterns, "command": (f"{LEROBOT_ACTION}[{{index0}}]",)}
+    return replace(scheme, patterns=patterns)
+
+
+_EVERY = {**NAMING_WORDS, **COMMAND_WORDS}
+_NAMED = {name: words.named for name, words in _EVERY.items() if words.named}
+_NUMBERED = {name: words.numbered for name, words in _EVERY.items() if words.numbered}
 DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
 SCHEMES = (
     DEFAULT,
@@ -99,7 +117,7 @@ SCHEMES = (
     _scheme("*_{index0}", _RTDE),
     # One column for each joint, whatever its brackets look like.
     _scheme("state.*[{index0}]", _FRANKA, time_unit="ms"),
-    _scheme("observation.*[{index0}]", _LEROBOT, of_lists=True),
+    _with_action(_scheme("observation.*[{index0}]", _LEROBOT, of_lists=True)),
     # Messages as rostopic prints them; see `echoed`.
     _scheme(
         "field.*{index0}",
@@ -139,6 +157,7 @@ def find_scheme(
     joints: Sequence[str],
     log_columns: Collection[str],
     entries: Mapping[str, int] | None = None,
+    command_entries: Mapping[str, int] | None = None,
 ) -> Match | None:
     """Find the scheme by which a log names the positions of all joints.
 
@@ -151,19 +170,22 @@ def find_scheme(
     entries : mapping of str to int, optional
         Place of each joint in the log's lists, where it names them; else a joint's
         place in them is that in the chain.
+    command_entries : mapping of str to int, optional
+        Likewise in its lists of commands; as in the others where it is left out.
     """
+    if command_entries is None:
+        command_entries = entries
     for scheme in SCHEMES:
-        places = list(range(len(joints)))
-        if entries and scheme.of_lists:
-            places = [entries.get(joint, -1) for joint in joints]
-
-        placed_joints = list(zip(joints, places, strict=True))
         columns: dict[str, list[str | None]] = {}
         for quantity in _ALL:
+            of_lists = command_entries if quantity in COMMANDS else entries
+            places = list(range(len(joints)))
+            if of_lists and scheme.of_lists:
+                places = [of_lists.get(joint, -1) for joint in joints]
             names = _columns(
                 scheme,
                 quantity,
-                placed_joints,
+                list(zip(joints, places, strict=True)),
                 log_columns,
                 of_all=quantity == "position",
             )

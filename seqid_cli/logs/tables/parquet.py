@@ -1,8 +1,8 @@
 """Parquet logs: only the needed columns are read, one row group at a time.
 
 A table made of JointState messages has a `name` column of string lists; a LeRobot data
-set names the motors of `observation.state` in `meta/info.json`, two folders or one
-above its data files.
+set names the motors of `observation.state` and of `action` in `meta/info.json`, two
+folders or one above its data files.
 """
 
 import json
@@ -20,7 +20,11 @@ from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
 from seqid_cli.logs.tables.csv_form import LONGEST_LIST
 from seqid_cli.logs.tables.name_words import WORDS
-from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE, NAME_COLUMNS
+from seqid_cli.logs.tables.naming_schemes import (
+    LEROBOT_ACTION,
+    LEROBOT_STATE,
+    NAME_COLUMNS,
+)
 from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
 from seqid_cli.robot.types import Robot
 
@@ -34,14 +38,14 @@ _OTHER_THAN_POSITION = frozenset[str]().union(
 )
 
 
-def lerobot_names(path: Path) -> list[str]:
+def lerobot_names(path: Path, feature: str = LEROBOT_STATE) -> list[str]:
     """Return the names of a LeRobot data set's motors; empty where none are told."""
     for folder in list(path.absolute().parents)[1:4]:
         info = folder / "meta" / "info.json"
         try:
             if info.stat().st_size > _LARGEST:
                 return []
-            names = json.loads(info.read_bytes())["features"][LEROBOT_STATE]["names"]
+            names = json.loads(info.read_bytes())["features"][feature]["names"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
         # {"motors": [...]} of older data sets
@@ -222,14 +226,17 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         raise damaged(path, error) from error
 
     entries = {name: place for place, name in enumerate(names_in_rows)}
+    command_entries: dict[str, int] | None = None
     notes: tuple[str, ...] = ()
     elements: dict[str, tuple[str, int]] = {}
     if is_lerobot:
+        command_entries = _action_entries(path, joints, lists)
         names_in_state = lerobot_names(path)
         elements = _elements_of_state(names_in_state, lists[LEROBOT_STATE])
         entries = _entries(joints, names_in_state)
         if elements:
             entries = _joints_of_state(names_in_state)
+            elements |= _elements_of_action(path, lists)
         elif len(entries) < len(joints):
             entries = {}
             notes = (
@@ -243,6 +250,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         path=path,
         names=tuple(names),
         entries=entries,
+        command_entries=command_entries,
         named=bool(names_in_rows or elements),
         notes=notes,
         lists=lists,
@@ -265,6 +273,19 @@ def _elements_of_state(names: Sequence[str], length: int) -> dict[str, tuple[str
     return elements
 
 
+def _elements_of_action(
+    path: Path, lists: Mapping[str, int]
+) -> dict[str, tuple[str, int]]:
+    """Return the commanded positions among the actions, as `<joint>.command`."""
+    names = lerobot_names(path, LEROBOT_ACTION)
+    if len(names) != lists.get(LEROBOT_ACTION, 0):
+        return {}
+    return {
+        f"{joint}.command": (LEROBOT_ACTION, place)
+        for joint, place in _joints_of_state(names).items()
+    }
+
+
 def _joints_of_state(names: Sequence[str]) -> dict[str, int]:
     """Return the place of each joint's position in a LeRobot state of several kinds."""
     places: dict[str, int] = {}
@@ -274,6 +295,23 @@ def _joints_of_state(names: Sequence[str]) -> dict[str, int]:
                 places.setdefault(name.removesuffix(ending), place)
                 break
     return places
+
+
+def _action_entries(
+    path: Path, joints: Sequence[str], lists: dict[str, int]
+) -> dict[str, int] | None:
+    """Return the place of each joint in the actions; None: as in the states.
+
+    Actions of another kind, such as poses of the gripper, are no commands of joints:
+    every joint is at -1 then, where no list has an element.
+    """
+    action_names = lerobot_names(path, LEROBOT_ACTION)
+    if action_names:
+        places = _entries(joints, action_names)
+        return {joint: places.get(joint, -1) for joint in joints}
+    if lists.get(LEROBOT_ACTION) == lists[LEROBOT_STATE]:
+        return None
+    return dict.fromkeys(joints, -1)
 
 
 def _entries(joints: Sequence[str], element_names: Sequence[str]) -> dict[str, int]:

@@ -40,6 +40,8 @@ class TableFile:
     names: tuple[str, ...]  # elements of list columns as `column[k]`
     # place in lists of each joint that the file names
     entries: Mapping[str, int] = field(default_factory=dict)
+    # likewise in lists of commands; None: as in the others
+    command_entries: Mapping[str, int] | None = None
     named: bool = False  # whether rows name the joints, which must be the robot's then
     notes: tuple[str, ...] = ()  # what was noticed
 
@@ -197,7 +199,7 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     """
     log_columns = set(file.names)
     joints = robot.log_names
-    match = schemes.find_scheme(joints, log_columns, file.entries)
+    match = schemes.find_scheme(joints, log_columns, file.entries, file.command_entries)
     if match is None and robot.channels.position is None:
         if file.named:
             raise other_joints(file.where, joints, list(file.entries))

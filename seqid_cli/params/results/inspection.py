@@ -9,6 +9,22 @@ INSPECTION_SCHEMA = "seqid/inspection@1"
 InspectionVerdict = Literal["good", "usable", "faulty", "unreadable"]
 
 
+class InspectedCommand(Struct, kw_only=True):
+    """What a joint was asked for; the lag is of the whole loop.
+
+    `form` is sent (with stamps of its own), held (slower than the rows) or sampled;
+    `mode` the quantity that the joint follows: position, velocity, torque or empty.
+    `saturated` is the share of samples at a limit of the torque.
+    """
+
+    quantities: list[str]
+    form: str
+    mode: str
+    lag_s: float | None
+    lag_std_s: float | None
+    saturated: float | None
+
+
 class InspectedJoint(Struct, kw_only=True):
     """One joint in a log: rad (m), rad/s (m/s), degC; `effort` is torque or current."""
 
@@ -21,6 +37,7 @@ class InspectedJoint(Struct, kw_only=True):
     effort: str
     effort_rms: float | None
     temperature: list[float] | None
+    command: InspectedCommand | None = None
 
 
 class InspectedImu(Struct, kw_only=True):

@@ -25,6 +25,7 @@ Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 STRING = "std_msgs/msg/String"
 
 LINE = "=" * 80
@@ -52,11 +53,22 @@ DEFINITIONS = {
         " control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[]"
         f" values\n{HEADER}{TIME}"
     ),
+    CONTROLLER: (
+        "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/"
+        "JointTrajectoryPoint reference\ntrajectory_msgs/JointTrajectoryPoint"
+        " feedback\ntrajectory_msgs/JointTrajectoryPoint error\ntrajectory_msgs/"
+        f"JointTrajectoryPoint output\n{LINE}\nMSG: trajectory_msgs/"
+        "JointTrajectoryPoint\nfloat64[] positions\nfloat64[] velocities\nfloat64[]"
+        " accelerations\nfloat64[] effort\nbuiltin_interfaces/Duration"
+        f" time_from_start\n{LINE}\nMSG: builtin_interfaces/Duration\nint32 sec\n"
+        f"uint32 nanosec\n{HEADER}{TIME}"
+    ),
     STRING: "string data\n",
 }
 _TOLD_BY = {
     "position": JOINT_STATE,
     "orientation": IMU,
+    "reference": CONTROLLER,
     "joint_names": DYNAMIC,
     "data": STRING,
 }
@@ -202,6 +214,39 @@ def joint_messages(
             for n, v in quantities.items()
         }
         content = SimpleNamespace(header=header(stamp), name=list(joints), **rows)
+        messages.append((topic, stamp, content))
+    return messages
+
+
+def controller_messages(
+    stamps_ns: NDArray[np.int64],
+    joints: Sequence[str],
+    *,
+    reference: Array,
+    velocity: Array,
+    feedback: Array,
+    effort: Array,
+    topic: str = "/arm_controller/controller_state",
+) -> list[Message]:
+    """States of a joint trajectory controller that commands effort, one per row."""
+
+    def point(**rows: Array) -> SimpleNamespace:
+        names = ("positions", "velocities", "accelerations", "effort")
+        lists = {name: list(map(float, rows.get(name, ()))) for name in names}
+        return SimpleNamespace(
+            **lists, time_from_start=SimpleNamespace(sec=0, nanosec=0)
+        )
+
+    messages = []
+    for i, stamp in enumerate(stamps_ns.tolist()):
+        content = SimpleNamespace(
+            header=header(stamp),
+            joint_names=list(joints),
+            reference=point(positions=reference[i], velocities=velocity[i]),
+            feedback=point(positions=feedback[i]),
+            error=point(positions=reference[i] - feedback[i]),
+            output=point(effort=effort[i]),
+        )
         messages.append((topic, stamp, content))
     return messages
 

@@ -73,6 +73,7 @@ def report(
         raise UsageError(
             "no JSON file given", hint="Name the files that the stages wrote."
         )
+    check_output(target, inputs)
     if target.suffix.lower() in _OTHER_FORMS:
         raise UsageError(
             f"the report is a web page, no {target.suffix} file",
@@ -80,7 +81,6 @@ def report(
             " its own. Figures for a paper: --figures FOLDER.",
             where=str(target),
         )
-    check_output(target, inputs)
 
     trend = read_trend(documents[0]) if len(documents) == 1 else None
     sources = [] if trend is not None else read_any(documents)

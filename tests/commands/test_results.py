@@ -128,7 +128,8 @@ def test_the_json_of_a_report_sums_it_up(rig: Rig) -> None:
     assert document.pop("sentence").startswith("On 2 logs")
     assert size < 1_000_000
     told = {"output": "report.html", "robot": "arm", "verdict": "good", "points": []}
-    assert document == {**told, "files": good, "torques": "t.parquet", "bytes": size}
+    made_of = {"files": good, "torques": "t.parquet", "bytes": size, "figures": []}
+    assert document == {**told, **made_of}
     assert "<h1>An arm</h1>" in (rig.folder / "report.html").read_text(encoding="utf-8")
 
 

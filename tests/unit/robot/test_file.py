@@ -167,8 +167,8 @@ OF_THE_FILE = {  # what follows the head of the file
         "channels.names names 1 columns for 2 joints",
     ),
     "interface": (
-        BOTH + '[channels]\ninterface = { efort = "a" }\n',
-        "unknown key 'channels.interface.efort'",
+        BOTH + '[channels]\ninterface = { effort_ = "a" }\n',
+        "unknown key 'channels.interface.effort_'",
     ),
     "two efforts": (
         BOTH + '[channels]\ninterface = { torque = "a", current = "b" }\n',

@@ -31,7 +31,7 @@ from seqid_cli.robot.base_parameters import (
     loaded_columns,
 )
 from seqid_cli.tiles import tiles
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
 # of a surface's largest standard error, by which entries that are tied may part
@@ -140,11 +140,10 @@ class Base:
         ]
         deviations = []
         for number, of_scene in enumerate(self.scene_bases):
-            of_rigid = of_scene.H @ rigid.astype(np.float32)
             of_friction = of_scene.friction_torque(friction)
             low = of_scene.scene.motion.filtered(of_friction, times=2)
             low += nuisance_torque(sized_terms, number, low.shape)
-            deviations.append(of_rigid.astype(np.float64) + low)
+            deviations.append(of_scene.rigid_torque(rigid) + low)
         return deviations
 
 
@@ -199,8 +198,11 @@ class SceneBase:
 
     Attributes
     ----------
-    H : (N, n, b) array
-        Low-passed columns of the rigid parameters.
+    H : (N, L) array
+        Low-passed columns of the rigid parameters that load a joint, joint by joint.
+    loaded : (n, b) mask
+        Which of the b parameters load each joint: a joint feels nothing of the links
+        before it.
     scene : Scene
         The data set.
     stage : FrictionStage, optional
@@ -210,9 +212,19 @@ class SceneBase:
     """
 
     H: NDArray[np.float32]
+    loaded: Mask
     scene: Scene
     stage: FrictionStage | None
     residual: Array
+
+    def rigid_torque(self, coefficients: Array) -> Array:
+        """Return the torque (N, n) N m of rigid parameters (b,), low-passed."""
+        torque = np.empty_like(self.residual)
+        single_precision = coefficients.astype(np.float32)
+        for joint, loaded in enumerate(self.loaded):
+            of_joint = self.H[:, _of_joint(self.loaded, joint)]
+            torque[:, joint] = of_joint @ single_precision[loaded]
+        return torque
 
     def friction_torque(self, coefficients: Sequence[Array]) -> Array:
         """Return the torque (N, n) N m of friction (k_j,) by joint, not low-passed."""
@@ -237,7 +249,16 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     scenes = rows.scenes
     robot = scenes[0].robot
     basis = free_basis(robot)
-    H_by_scene = [_rigid_columns(scene, basis) for scene in scenes]
+    loaded = loaded_columns(robot, basis)
+
+    # Rows keep every digit. At all samples, of which there are many more, single
+    # precision is enough for what the base adds to the file's torque.
+    H_by_scene: list[NDArray[np.float32]] = []
+    kept_by_scene: list[Array] = []
+    for scene, samples in zip(scenes, rows.samples, strict=True):
+        H = _rigid_columns(scene, basis, loaded)
+        H_by_scene.append(H.astype(np.float32))
+        kept_by_scene.append(H[samples])
 
     # What the file says of a nuisance is not in its model's torque.
     nuisances = nuisances_of(scenes, stages)
@@ -254,7 +275,11 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     friction_rms = []
     y = []
     for joint in range(robot.n):
-        rigid.append(rows.torque(joint, [H[:, joint] for H in H_by_scene]))
+        of_joint = _of_joint(loaded, joint)
+        columns = rows.of_kept(joint, [kept[:, of_joint] for kept in kept_by_scene])
+        of_rows = np.zeros((len(columns), basis.size))
+        of_rows[:, loaded[joint]] = rows.whitened(joint, columns)
+        rigid.append(of_rows)
         size = _ColumnRms(joint)
         per_scene = (
             {
@@ -285,7 +310,8 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         ),
         scene_bases=tuple(
             SceneBase(
-                H=H.astype(np.float32),
+                H=H,
+                loaded=loaded,
                 scene=scene,
                 stage=stage,
                 residual=residual,
@@ -327,14 +353,17 @@ class _ColumnRms:
         return np.asarray(np.sqrt(self._squares / np.maximum(self._counts, 1)))
 
 
-def _rigid_columns(scene: Scene, basis: Basis) -> Array:
-    """Return the low-passed columns (N, n, b) of the rigid parameters."""
+def _rigid_columns(scene: Scene, basis: Basis, loaded: Mask) -> Array:
+    """Return low-passed columns (N, L) of the rigid parameters that load a joint."""
     motion = scene.motion
     unfiltered = base_regressor(scene.robot, basis, motion.q, motion.dq, motion.ddq)
-    loaded = loaded_columns(scene.robot, basis)
-    H = np.zeros_like(unfiltered)  # a joint's columns of links before it stay zero
-    H[:, loaded] = motion.filtered(unfiltered[:, loaded])
-    return H
+    return motion.filtered(unfiltered[:, loaded])
+
+
+def _of_joint(loaded: Mask, joint: int) -> slice:
+    """Return which of the L columns that load any joint are those of one joint."""
+    edges = np.cumsum([0, *loaded.sum(axis=1)])
+    return slice(int(edges[joint]), int(edges[joint + 1]))
 
 
 def residual_of(scene: Scene) -> Array:

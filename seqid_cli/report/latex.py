@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from seqid_cli.effects.units import UNDETERMINED_STD_ERROR, UNEXPLAINED
 from seqid_cli.params.schema import Parameter, ParameterFile
 from seqid_cli.report import words
+from seqid_cli.visible import visible
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -119,9 +120,9 @@ def _unit(unit: str) -> str:
 
 def _text(text: str) -> str:
     """Return text of a file with what LaTeX would take for a command written out."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in text)
+    return "".join(_SPECIAL.get(letter, letter) for letter in visible(text))
 
 
 def _comment(text: str) -> str:
     """Return text for a comment, which ends where the line does."""
-    return " ".join(text.split())
+    return visible(" ".join(text.split()))

@@ -15,6 +15,7 @@ from seqid_cli.logs.given import warn
 from seqid_cli.params.files import replacing, write_text_atomic, writing
 from seqid_cli.report.chart import element, label
 from seqid_cli.report.views import Figure, Legend, Page, resource
+from seqid_cli.visible import visible
 
 EXTRA = "seqid[figures]"
 _FONT = 'text{font-family:Helvetica,Arial,"Liberation Sans",sans-serif}'
@@ -92,7 +93,7 @@ def standalone(figure: Figure) -> str:
         width=width,
         height=total,
     )
-    return f"{svg}\n"
+    return visible(f"{svg}\n")
 
 
 def _style() -> str:

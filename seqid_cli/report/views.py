@@ -23,6 +23,7 @@ from seqid_cli.params.schema import Verdict
 from seqid_cli.report import words
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.templates import filled
+from seqid_cli.visible import visible
 
 Legend = Mapping[str, str]  # what a line is, by the class that it has in the drawing
 VALUE_HEADS = heads(
@@ -315,13 +316,15 @@ class Page:
             "style": style,
             "script": script,
         }
-        return filled(
+        text = filled(
             "seqid_cli.report",
             "report.html.j2",
             content,
             filters={"unit": words.unit_text, "short": words.short_path},
             markup=True,
         )
+        # A name may hold marks that turn text, or end a line: they are shown.
+        return visible(text)
 
 
 def _hash_of(text: str) -> str:

@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 
 from seqid_cli.commands import export as export_command
 from seqid_cli.commands.screen.drawing import table_text, with_colored_label
-from seqid_cli.commands.screen.layout import visible, visible_cell
+from seqid_cli.commands.screen.layout import visible_cell
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_stages, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import parameters_text
 from seqid_cli.params.results.export import ExportedLink, ReplayedJoint
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
+from seqid_cli.visible import visible
 from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 from tests.unit.logs.writers import write_raw
 from tests.unit.params.documents import inertia_file, robot

@@ -5,22 +5,17 @@ drawn.
 """
 
 import os
-import re
 import shutil
 import textwrap
 from typing import Literal, TextIO
+
+from seqid_cli.visible import visible
 
 Label = Literal["error", "warning"]  # what a message begins with, in colour
 
 # Below so many characters no table is readable, so the terminal breaks the lines.
 NARROWEST = 40
 HANGING_INDENT = " " * 4  # of the second and further lines of a sentence
-# Controls but for tab and new line, marks that turn the direction of text, halves of
-# characters.
-_STEERING = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e"
-    "\u2060-\u2069\ufeff\ud800-\udfff]"
-)
 
 
 def width_of(stream: TextIO) -> int | None:
@@ -80,11 +75,6 @@ def shortened(text: str, width: int) -> str:
     begin = (width - len(dots)) // 4  # more of the end: names of logs differ there
     end = width - len(dots) - begin
     return f"{text[:begin]}{dots}{text[len(text) - end :]}"
-
-
-def visible(text: str) -> str:
-    """Return a text whose characters that steer are written by number, as in JSON."""
-    return _STEERING.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def visible_cell(text: str) -> str:

@@ -5,7 +5,8 @@ The command group needs this before any command is imported, so it imports littl
 
 import sys
 
-from seqid_cli.commands.screen.layout import Label, folded, visible
+from seqid_cli.commands.screen.layout import Label, folded
+from seqid_cli.visible import visible
 
 
 def write_warning(command: str, message: str, *, color: bool) -> None:

@@ -9,6 +9,7 @@ from seqid_cli.commands.screen import layout
 from seqid_cli.commands.screen.messages import write_error, write_warning
 from seqid_cli.params.encode import encode
 from seqid_cli.params.results.tables import Values
+from seqid_cli.visible import visible
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +55,12 @@ class Screen:
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            sys.stdout.write(f"{layout.folded(layout.visible(line), sys.stdout)}\n")
+            sys.stdout.write(f"{layout.folded(visible(line), sys.stdout)}\n")
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""
         if self.json:
-            sys.stdout.write(layout.visible(encode(document)))
+            sys.stdout.write(visible(encode(document)))
 
     def warn(self, message: str) -> None:
         """Say what may be wrong, once."""
@@ -78,18 +79,18 @@ class Screen:
         for message in messages:
             if message not in self.already_said:
                 self.already_said.add(message)
-                line = layout.visible(f"note: {message}")
+                line = visible(f"note: {message}")
                 self.note(layout.folded(line, sys.stderr))
 
     def note(self, message: str) -> None:
         """Say what is good to know; commands to copy stay in one line."""
         if not self.quiet:
-            sys.stderr.write(f"{layout.visible(message)}\n")
+            sys.stderr.write(f"{visible(message)}\n")
 
     def detail(self, message: str) -> None:
         """Say what only `-v` asks for."""
         if self.verbose:
-            sys.stderr.write(f"{layout.visible(message)}\n")
+            sys.stderr.write(f"{visible(message)}\n")
 
 
 def screen_for(

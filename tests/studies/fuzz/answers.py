@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 
 from seqid_cli.__main__ import main
-from seqid_cli.commands.screen.layout import visible
+from seqid_cli.visible import visible
 
 CPU_S = 10.0
 

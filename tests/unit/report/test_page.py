@@ -331,3 +331,14 @@ def test_pages_say_what_they_said(make: object, tmp_path: Path) -> None:
 )
 def test_odd_numbers_names_and_formulas(text: object, expected: object) -> None:
     assert text == expected
+
+
+def test_marks_that_turn_text_are_shown_and_not_obeyed() -> None:
+    """In the page's title, texts and drawings."""
+    file = inertia_file()
+    file.robot.name = "arm\u202egnp.exe\u2066"
+    file.stages.friction.notes = ["a\u2028b\x85"]
+    page = make_report([source("inertia.json", file)]).html
+    assert "arm\\u202egnp.exe\\u2066" in page
+    assert "a\\u2028b\\u0085" in page
+    assert re.search("[\u202a-\u202e\u2066-\u2069\u2028\u2029\x85]", page) is None

@@ -145,6 +145,9 @@ class LossCriteria:
     sudden: float = 1.2
     sudden_noise: float = 5.0  # times the noise, likewise
     uneven: float = 0.5  # of the lost motion by its faster side: joints accelerate
+    # of a joint's usual speed, below which it is no witness: where a brake lets go, or
+    # a drive takes over, joints creep and step
+    creep: float = 0.03
     # of an interval, by which stamps that count rows differ from even ones
     counted: float = 0.3
     # of the increments: steps as frequent are noise or a slower channel
@@ -328,7 +331,11 @@ def _losses(dt: Array, q: Array, rows: Rows, encoder_noise: Array) -> Losses:
     weight = steps.noise**-2.0
     information = np.maximum(np.sum(steps.velocity**2 * weight, axis=1), 1e-300)
     lost_s = np.sum(steps.velocity * steps.gap * weight, axis=1) / information
-    z_score = lost_s * np.sqrt(np.sum(steps.shared_speed**2 * weight, axis=1))
+    usual_speed = np.quantile(np.abs(np.diff(q, axis=0)), 0.9, axis=0) / usual
+    witness_speed = np.where(
+        steps.shared_speed > CRITERIA.creep * usual_speed, steps.shared_speed, 0.0
+    )
+    z_score = lost_s * np.sqrt(np.sum(witness_speed**2 * weight, axis=1))
     is_loss = z_score > CRITERIA.sure
     is_loss &= lost_s > CRITERIA.least_intervals * usual
     is_loss &= lost_s < CRITERIA.longest_s

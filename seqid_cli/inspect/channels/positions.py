@@ -59,9 +59,10 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
 
         # Most joints end here: no two changes differ by as much as a break makes.
         interval = float(np.median(np.diff(t_joint)))
-        if np.abs(np.diff(q, 2)).max() < ALONE * _beyond_any_arm(interval):
+        beyond = _beyond_any_arm(interval, joint.velocity_limit)
+        if np.abs(np.diff(q, 2)).max() < ALONE * beyond:
             continue
-        damage = _damage(t_joint, q, lattice(q))
+        damage = _damage(t_joint, q, lattice(q), joint.velocity_limit)
         if damage is not None:
             finding = finding_of(damage.code, damage.text, joint.name, "position")
             breaks.append(Break(joint=j, finding=finding, rows=rows[damage.rows]))
@@ -231,15 +232,17 @@ def top_speed(data: LogData, j: int) -> float:
     return float(np.abs(velocity).max())
 
 
-def _damage(t: Array, q: Array, step: float) -> _Damage | None:
+def _damage(
+    t: Array, q: Array, step: float, velocity_limit: float | None
+) -> _Damage | None:
     """Find freezes, else spikes, else jumps, in positions (M,) at times (M,).
 
-    `step` is the encoder's.
+    `step` is the encoder's, `velocity_limit` [rad/s] the joint's, if it is known.
     """
     interval = float(np.median(np.diff(t)))
     if interval <= 0.0:
         return None
-    least_jump = _least_jump(q, step, interval)
+    least_jump = _least_jump(q, step, interval, velocity_limit)
     frozen = _frozen(t, q, least_jump)
     if frozen:
         return _freezes(t, q, frozen)
@@ -289,6 +292,7 @@ def _least_jump(
     q: Array,
     step: float,
     interval: float,
+    velocity_limit: float | None,
     *,
     min_steps: float = 8.0,
     # times what one in a hundred changes differs from its neighbours
@@ -298,7 +302,8 @@ def _least_jump(
 ) -> float:
     """Return the change between two samples that neither motion nor noise makes.
 
-    `interval` is the usual time between samples [s].
+    `interval` is the usual time between samples [s], `velocity_limit` [rad/s] that of
+    the joint, if it is known.
     """
     change = np.diff(q)
     uneven = np.sort(np.abs(change - median_filter(change, 5, mode="wrap")))
@@ -308,18 +313,30 @@ def _least_jump(
     span = float(np.ptp(np.quantile(q, (0.01, 0.99))))
     return max(
         min_steps * step,
-        _beyond_any_arm(interval),
+        _beyond_any_arm(interval, velocity_limit),
         min_noise * noise,
         min_share * span,
     )
 
 
 def _beyond_any_arm(
-    interval: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
+    interval: float,
+    velocity_limit: float | None,
+    *,
+    max_acceleration: float = 1000.0,
+    fastest: float = 10.0,
+    overshoot: float = 1.5,
 ) -> float:
-    """Return the change of velocity, times the usual interval, that no arm makes."""
-    # At low rates the acceleration says little.
-    return min(max_acceleration * interval**2, max_step)
+    """Return the change of velocity, times the usual interval, that no arm makes.
+
+    At low rates the acceleration says little: between two samples an arm may start from
+    rest and move at the speed of its limit, with some `overshoot`, or of the `fastest`
+    arms [rad/s].
+    """
+    speed = fastest
+    if velocity_limit is not None:
+        speed = min(overshoot * velocity_limit, fastest)
+    return min(max_acceleration * interval**2, speed * interval)
 
 
 def _frozen(

@@ -199,16 +199,29 @@ def torque_quality(
 
 
 def _stuck(
-    values: Array, t: Array, moving: Mask, *, min_samples: int = 50, min_s: float = 0.2
+    values: Array,
+    t: Array,
+    moving: Mask,
+    *,
+    min_samples: int = 50,
+    min_s: float = 0.2,
+    max_step: float = 0.1,
 ) -> str:
-    """Return where a channel stays at a value while its joint moves; empty: nowhere."""
+    """Return where a channel stays at a value while its joint moves; empty: nowhere.
+
+    Zero is none: a drive that is let go makes no torque. Nor is a level of a coarse
+    channel, which stays where it is as long as the torque changes by less.
+    """
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway
+    is_coarse = lattice(values) > max_step * float(np.std(values[moving]))
+    if is_coarse:
+        return ""
     for start, stop in equal_runs(values, min_samples):
         value = values[start]
         seconds = float(t[stop - 1] - t[start])
         # At its limits a channel is clipped, which is another finding.
-        is_inner = value not in (values.min(), values.max())
+        is_inner = value not in (0.0, values.min(), values.max())
         if seconds >= min_s and is_inner and moving[start:stop].mean() > 0.5:
             return f"stays at {value:.4g} for {seconds:.3g} s from {t[start]:.3f} s"
     return ""

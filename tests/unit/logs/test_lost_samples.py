@@ -141,6 +141,22 @@ def test_a_spike_of_a_coarse_encoder_is_not_a_loss(seed: int) -> None:
         assert not len(mended(having(log, position=q, velocity=None)).losses.rows)
 
 
+def released(n: int) -> Stream:
+    """Joints that creep on their brakes, step as these let go, creep on, and move."""
+    t = np.arange(6000) / 500.0
+    creep = 0.012 * t + 0.0012 * (t > 2.0)
+    swing = 0.5 * (1.0 - np.cos(3.0 * np.maximum(t - 4.0, 0.0)))
+    noise = 5e-6 * np.random.default_rng(3).standard_normal((len(t), n))
+    q = (creep + swing)[:, None] * np.linspace(1.0, 0.6, n) + noise
+    return Stream("joints", np.rint(1e9 * t).astype(np.int64), {"position": q})
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_step_as_brakes_let_go_is_no_loss(n: int) -> None:
+    log = released(n)
+    assert mended(log).stream is log
+
+
 def test_the_recording_says_it_and_long_logs_are_read_whole(tmp_path: Path) -> None:
     t = np.arange(4000) / 500.0
     kept = (np.arange(4000) < 300) | (np.arange(4000) % 100 > 3)

@@ -48,6 +48,8 @@ SPOIL: Codes = frozenset(
         "axis_flipped",
         "position_zero",
         "current_in_ma",
+        "effort_unsigned",
+        "effort_sign_bit",
         "gear_inverse",
         "values_absurd",
     }
@@ -112,7 +114,13 @@ _EXPLANATIONS = (
     ),
     Explanation(
         causes=frozenset(
-            {"current_in_ma", "effort_is_current", "effort_is_torque", "torque_scale"}
+            {
+                "current_in_ma",
+                "effort_is_current",
+                "effort_is_torque",
+                "effort_sign_bit",
+                "torque_scale",
+            }
         ),
         explained=frozenset({"torque_limit"}),
         anywhere=True,

@@ -65,6 +65,11 @@ ERRORS: Mapping[str, str] = {
         "Record the measured current while the controller drives the joints; if it is"
         " measured and the joint hardly rubs, --set echo.max_friction=0 takes it."
     ),
+    "effort_unsigned": (
+        "Log it with its sign, or log the commands beside it (<joint>.command), which"
+        " give the sign."
+    ),
+    "effort_sign_bit": "Read the channel as a signed integer.",
     "current_in_ma": "Convert to A.",
     "effort_is_current": (
         'Write effort = "current" under [channels], or name it <joint>.current.'
@@ -148,6 +153,7 @@ WARNINGS: Mapping[str, str] = {
         "Check that both are measured, of one joint and in SI units."
     ),
     "speed_limit": "Check the unit and time of the position, and velocity_limit.",
+    "sign_by_command": "Log it with its sign: small ones may be wrong.",
     "torque_spikes": "Look at driver and cable; remove these samples.",
     "torque_quantised": "Log the current with more bits.",
     "torque_saturated": "Use slower moves, or a measuring range that is large enough.",

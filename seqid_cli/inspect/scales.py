@@ -21,6 +21,7 @@ from seqid_cli.typing import Array
 SIGMAS = 3.0  # standard errors by which a factor may differ from that of a hypothesis
 # Share by which it may differ besides: models and motions are no better.
 EXACT = 0.03
+HARDLY_KNOWN = 0.2  # relative error of a factor
 # Counts of encoders in a turn that joints of arms have, the most usual first.
 COUNTS_PER_TURN = (4096, 1024, 4000, 8192, 16384, 65536, 2**17, 2**18, 2**19, 2**20)
 
@@ -79,8 +80,11 @@ def first_agreeing(
     scales : sequence of Scale
         Hypotheses, the likeliest first.
     tolerance : float
-        Share by which a factor may differ beside its error.
+        Share by which a factor may differ beside its error. One that is hardly known
+        agrees with anything, and says nothing.
     """
+    if any(factor.relative_error > HARDLY_KNOWN for _, factor in measured):
+        return None
     for scale in scales:
         if all(
             factor.agrees(float(scale.factors[joint]), tolerance)

@@ -26,6 +26,7 @@ from seqid_cli.logs.raw import RawLog, Stamps, Stream, joined
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Block, Range, Recording, Whole
+from seqid_cli.logs.signs import with_signs
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.timebase import Base, resample
@@ -292,6 +293,10 @@ def _rows(log: LogFile, robot: Robot) -> Iterator[tuple[RawLog, Stream]]:
         if not is_sound or (steps <= 0).any():
             raise UnevenError
         if evened(joints) is not None:
+            raise UnevenError
+        unsigned: list[str] = []
+        with_signs(raw.joints, robot, unsigned)
+        if unsigned:
             raise UnevenError
         if len(mended(joints).losses.rows):
             raise UnevenError

@@ -27,6 +27,7 @@ from seqid_cli.logs.raw import (
 )
 from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.signs import with_signs
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
@@ -136,6 +137,7 @@ def assemble(
     joints = without_absurd(raw.joints, warnings)
     joints = without_second_publisher(joints, where, warnings)
     _check_positions(joints, robot, where)
+    joints = with_signs(joints, robot, warnings)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
     tidied = tidy(joints)
     repair = mended(tidied.stream)

@@ -32,6 +32,8 @@ _WARNING_CODES: tuple[tuple[str, str], ...] = (
     (r"are infinite or beyond", "values_absurd"),
     (r"last line has no end and", "salvaged"),
     (r"position wraps by whole turns", "position_wraps"),
+    (r"sign is taken from command minus position", "sign_by_command"),
+    (r"it is a magnitude", "effort_unsigned"),
     (r"cannot be turned into torque", "drive_data_missing"),
     (r"do not overlap|covers \d+ % of the joints", "imu_no_overlap"),
     (r"is left out: .* has no", "imu_missing_values"),

@@ -17,6 +17,7 @@ from seqid_cli.inspect.dynamics.weights import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import ChannelSettings
+from seqid_cli.logs.signs import sign_bit
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
@@ -101,7 +102,7 @@ def _of_channel(
     values = column[present]
     t = data.t[present]
     rms = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    if quantity == "current" and rms > max_rms:
+    if quantity == "current" and rms > max_rms and not sign_bit(values):
         yield "current_in_ma", f"is {rms:.3g} A RMS: it looks like mA"
     if not data.moves(j) or not len(values):
         return
@@ -112,6 +113,10 @@ def _of_channel(
     if np.ptp(values) == 0.0:
         text = f"is {values[0]:.4g} throughout although the joint moves"
         yield "torque_constant_value", text
+        return
+    bit = sign_bit(values)
+    if bit:
+        yield "effort_sign_bit", bit
         return
     stuck = _stuck(values, t, data.moving_samples(j)[present])
     if stuck:

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
+from seqid_cli.inspect.dynamics.structure import sliding
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.scales import (
@@ -94,6 +95,7 @@ def weights(
     variation = gravity.std(axis=0)
     largest = largest_gravity(robot)
     friction = sample.friction_columns()
+    slides = sliding(sample)
     for j in sample.moving:
         # Forces and torques are not to be compared.
         is_prismatic = robot.joints[j].prismatic
@@ -103,8 +105,10 @@ def weights(
         most_in_log = max(float(variation[of_kind].max()), HEAVY)
         if variation[j] < max(min_load * most_in_log, min_acting * largest[j]):
             continue
+        # At rest friction holds any share of the weight.
+        rows = slides[:, j]
         X = np.column_stack([gravity[:, j], inertia[:, j], friction[:, j]])
-        fit = scaled_fit(X, sample.tau[:, j])
+        fit = scaled_fit(X[rows], sample.tau[rows, j])
         variance = float(np.mean(fit.residual**2)) * sample.memory
         of_gravity = fit.inverse[0]
         std_error = float(np.sqrt(variance * (of_gravity @ of_gravity)))

@@ -251,6 +251,10 @@ def _joint_columns(
         if missing:
             raise missing_columns(file.where, missing, file.names)
         columns[quantity] = [*declared]
+    # Commands may stand in front of the joint beside columns of another form.
+    commands = [f"command.{name}" for name in joints]
+    if "command" not in columns and log_columns.issuperset(commands):
+        columns["command"] = [*commands]
     return {name: columns[name] for name in QUANTITIES if name in columns}
 
 

@@ -205,7 +205,7 @@ FAULTS = (
     Fault("gyro scale", "gyro_scale", "imu_b", p.times(0.5, "imu_b.g?"), triad=True),
     Fault("encoder dead", "position_stuck", "elbow", p.constant("elbow.position", 0.3)),
     Fault("all in degrees, neither limits nor velocity", "position_in_degrees",
-          "shoulder_pan",
+          ALL_SIX,
           p.both(p.renamed(".velocity", None), p.times(DEGREES, "*.position")),
           robot={"position_limits = ": "# "}),
     Fault("kelvin", "temperature_in_kelvin", "wrist_1",

@@ -32,6 +32,8 @@ from seqid_cli.commands.options import (
     VerboseOption,
     command_app,
     examples,
+    is_positive,
+    number_check,
 )
 from seqid_cli.commands.robot_file import found_robot_if_any
 from seqid_cli.commands.screen.render import Screen, screen_for
@@ -211,6 +213,15 @@ def init(
             ),
         ),
     ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            callback=number_check(is_positive, "a positive number"),
+            help="Samples per second of tables without a column of time.",
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite a robot file that exists.")
     ] = False,
@@ -267,6 +278,7 @@ IMUs as far as known.
         urdf_path=_path_from_robot_file(urdf, output),
         drives=drives,
         unit=unit,
+        rate=rate,
         name=name or urdf_name or "robot",
     )
     content = robot_toml(proposal.template)

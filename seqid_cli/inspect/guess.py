@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -38,13 +38,26 @@ class Guess:
     unit: Literal["rad", "deg"] = "rad"
     length_unit: Literal["m", "mm"] = "m"
     topic: str | None = None  # of the joint states, where it is not the usual one
+    rate: float | None = None  # Hz, of a table without a column of time
 
 
-def guess(contents: LogContents, robot_joints: Sequence[str] = ()) -> Guess:
-    """Guess joints, channels and IMUs of a log from the names in it.
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What is known of a robot and its logs beside the names in them."""
 
-    `robot_joints` are names that the robot has, if they are known: of a URDF.
-    """
+    joints: tuple[str, ...] = ()  # of a URDF
+    rate: float | None = None  # Hz, of tables without a column of time
+
+
+NOTHING_KNOWN = Known()
+
+
+def guess(contents: LogContents, known: Known = NOTHING_KNOWN) -> Guess:
+    """Guess joints, channels and IMUs of a log from the names in it."""
+    return replace(_guess_by_names(contents, known.joints), rate=known.rate)
+
+
+def _guess_by_names(contents: LogContents, robot_joints: Sequence[str]) -> Guess:
     imus = _imus(contents.columns or contents.channels)
     patterns, joints = guess_channels(contents.columns)
     if not contents.joints and set(joints).isdisjoint(robot_joints):
@@ -284,5 +297,6 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
             **guessed.patterns,  # type: ignore[arg-type]
             unit=guessed.unit,
             topic=guessed.topic,
+            rate=guessed.rate,
         ),
     )

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.findings import finding_of, located, verdict_of
-from seqid_cli.inspect.guess import Guess, guess, stand_in
+from seqid_cli.inspect.guess import NOTHING_KNOWN, Guess, Known, guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected
@@ -118,7 +118,7 @@ def inspect_log(
     *,
     settings: InspectSettings = InspectSettings(),
     reading: Reading = HEADER_STAMPS,
-    robot_joints: Sequence[str] = (),
+    known: Known = NOTHING_KNOWN,
 ) -> Inspected:
     """Inspect one log.
 
@@ -132,8 +132,8 @@ def inspect_log(
         Numbers that decide.
     reading : Reading
         By which stamps logs are read, and which part of them.
-    robot_joints : sequence of str
-        Names that the robot has, for a guess.
+    known : Known
+        What is known of the robot, for a guess.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def inspect_log(
     # The log says more of itself than that it does not fit the robot file: without one,
     # or where it does not fit, joints are guessed.
     if inspected is None:
-        guessed = guess(contents, robot_joints)
+        guessed = guess(contents, known)
         findings = [*_topic_findings(contents)]
         if robot is not None and problem is not None:
             missing, findings = _why_it_does_not_fit(robot, guessed, problem)

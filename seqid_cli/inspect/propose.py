@@ -14,7 +14,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.inspect.dynamics.angles import BY_EQUATIONS
 from seqid_cli.inspect.dynamics.equations import GRAVITY
-from seqid_cli.inspect.guess import Guess, guess
+from seqid_cli.inspect.guess import Guess, Known, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.inspect.matching import Pairs, matched
 from seqid_cli.inspect.parts import Inspected
@@ -50,6 +50,7 @@ def propose(
     name: str,
     drives: Mapping[str, Sequence[float]] = {},
     unit: str | None = None,
+    rate: float | None = None,
 ) -> Proposal:
     """Propose a robot file from logs of one robot.
 
@@ -67,6 +68,8 @@ def propose(
         `torque_constant` and `gear_ratio`, one for all joints or one for each.
     unit : {"rad", "deg", "percent"}, optional
         That of positions; as names and values show it where it is left out.
+    rate : float, optional
+        Samples per second of tables without a column of time [Hz].
 
     Raises
     ------
@@ -76,9 +79,9 @@ def propose(
         `drives` have another number of values.
     """
     contents = contents_of(paths[0])
-    robot_joints = urdf.movable if urdf is not None else ()
-    guessed = guess(contents, robot_joints)
-    reports = [inspect_log(path, robot_joints=robot_joints) for path in paths]
+    known = Known(joints=urdf.movable if urdf is not None else (), rate=rate)
+    guessed = guess(contents, known)
+    reports = [inspect_log(path, known=known) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
             problem = report.findings[0]
@@ -126,6 +129,7 @@ def propose(
             channels={**channels, **units},
             left_out=tuple(joint.name for joint in chain if joint.name not in names),
             may_be_percent=is_open,
+            rate=rate,
         )
 
     template = template_for(codes)

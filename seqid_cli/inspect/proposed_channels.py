@@ -82,6 +82,7 @@ def channels_of(
     has_time_of_scheme = scheme is not None and scheme.time in columns
     times = time_names(columns)
     is_sure = "t" in times or len(times) == 1 or has_time_of_scheme
+    is_sure = is_sure or guessed.rate is not None
     if not is_sure and stamp_parts(columns) is None:
         channels["time"] = next(iter(times), "TODO")
     if contents.joints and not guessed.patterns:

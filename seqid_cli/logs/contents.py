@@ -8,7 +8,7 @@ from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.mcap import descriptions, reader, rosbags
 from seqid_cli.logs.mcap.records import Scan
 from seqid_cli.logs.mcap.rosbags import BagScan
-from seqid_cli.logs.tables import parquet
+from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 
@@ -35,7 +35,7 @@ def contents_of(path: Path) -> LogContents:
     kind = log.format
     file = log.file
     if kind == "parquet":
-        table = parquet.open_table(file)
+        table = parquet.open_joined(file)
         joints = tuple(table.entries) or _lerobot_joints(file, table.names)
         return LogContents(
             format=kind,
@@ -45,12 +45,12 @@ def contents_of(path: Path) -> LogContents:
             columns=table.names,
         )
     if kind == "csv":
-        form = read_form(file)
+        csv = csv_file.open_table(file)
         return LogContents(
             format=kind,
-            channels=form.names,
-            joints=tuple(form.places),
-            columns=form.columns,
+            channels=read_form(file).names,
+            joints=tuple(csv.entries),
+            columns=csv.names,
         )
 
     list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics

@@ -24,6 +24,7 @@ filters on either side, and thins samples to what the cut-off needs. Friction cu
 between moves, as a trial lies within one. Windows end where memory or a choice says.
 """
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,6 +40,7 @@ from seqid_cli.logs.reading import HEADER_STAMPS, LogPart, Reading
 from seqid_cli.logs.storage import files
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
+from seqid_cli.logs.tables.siblings import siblings
 from seqid_cli.logs.turns import commands_in_turns, in_turns
 from seqid_cli.robot.types import Robot
 
@@ -115,7 +117,14 @@ class LogFile:
 
     @cached_property
     def _digest(self) -> str:
-        return files.sha256_of(self.file)
+        digests = [files.sha256_of(self.file)]
+        if self.format in ("csv", "parquet"):
+            beside = siblings(self.file).values()
+            digests += [files.sha256_of(path) for path in beside]
+        if len(digests) == 1:
+            return digests[0]
+        # Of a log in several files.
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def blocks(self, robot: Robot) -> Iterator[RawLog]:
         """Pass over the part of the log that is used, block by block.

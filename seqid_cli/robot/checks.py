@@ -26,6 +26,8 @@ from seqid_cli.robot.toml_schema import (
 _OF_THE_LOG = (
     "time",
     "time_unit",
+    "rate",
+    "files",
     "topic",
     "namespace",
     "interface",
@@ -41,6 +43,7 @@ LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
 LARGEST_TOLERANCE = 0.5  # rad, m: more is no tolerance but another arm
 # memory grows with the third power, the time of some checks with the fourth
 MOST_JOINTS = 16
+FASTEST_HZ = 1e6  # samples per second of a log; drives take 40 000
 # Tables that a robot file may have, and accelerometers of one IMU: more than any arm.
 _MOST = {"imu": 64, "effect": 256}
 _MOST_ACCELEROMETERS = 64
@@ -288,6 +291,24 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
     channels = robot.channels
     if channels.time is not None:
         yield from _text("channels.time", str(channels.time))
+    if channels.rate is not None:
+        if not 0.0 < channels.rate <= FASTEST_HZ:
+            yield Problem(
+                f"channels.rate is {channels.rate:g}",
+                f"Give the samples per second in Hz, up to {FASTEST_HZ:g}.",
+            )
+        if channels.time is not None:
+            yield Problem(
+                "channels.rate and channels.time both say when samples were taken",
+                "Leave one of them out.",
+            )
+    for of_file, name in channels.files.items():
+        yield from _text(f"channels.files.{of_file}", name)
+        if "/" in name or "\\" in name or name in (".", ".."):
+            yield Problem(
+                f"channels.files.{of_file} is {name!r}, which is no name of a file",
+                "Name a file beside that of the positions, without a folder.",
+            )
     for key in _NAMES:
         if getattr(channels, key) is not None:
             yield from _text(f"channels.{key}", getattr(channels, key))

@@ -38,6 +38,7 @@ class RobotTemplate:
     effort: str = ""
     imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
+    rate: float | None = None  # Hz, of logs without a column of time
     left_out: tuple[str, ...] = ()  # joints of the URDF that are not in the log
     # whether positions are in degrees or in percent, which the log does not tell
     may_be_percent: bool = False

@@ -17,6 +17,16 @@ Vector = tuple[float, float, float]
 # number.
 Columns = str | tuple[str | int, ...]
 
+Quantity = Literal[
+    "velocity",
+    "torque",
+    "current",
+    "load",
+    "link_position",
+    "voltage",
+    "pwm",
+    "temperature",
+]
 _COLUMNS = (
     "a pattern such as 'joint_{index}.pos' with {name}, {index} (from 1) or {index0}"
     " (from 0), or a list of columns in the order of the joints"
@@ -186,6 +196,17 @@ class Channels(Table, frozen=True):
             " or s, where it is left out"
         ),
     ] = None
+    rate: Annotated[
+        float | None,
+        Meta(description="[Hz] samples per second of tables without a column of time"),
+    ] = None
+    files: Annotated[
+        dict[Quantity, str],
+        Meta(
+            description="the files beside that of the positions which hold the other"
+            " quantities, such as { torque = 'tau.csv' }; found by their names without"
+        ),
+    ] = {}
     position: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     velocity: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
     current: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
@@ -220,6 +241,9 @@ class Channels(Table, frozen=True):
         return self.effort == "current" or (
             self.interface is not None and self.interface.current is not None
         )
+
+
+DEFAULTS = Channels()
 
 
 class EffectEntry(Table, frozen=True):
@@ -273,7 +297,7 @@ class RobotFile(Table, frozen=True):
     ] = GeometryError()
     imu: tuple[ImuEntry, ...] = ()
     effect: tuple[EffectEntry, ...] = ()
-    channels: Channels = Channels()
+    channels: Channels = DEFAULTS
 
 
 TABLES: dict[str, type[Table]] = {  # by their keys in the document

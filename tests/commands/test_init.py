@@ -555,3 +555,20 @@ def test_a_description_that_is_no_urdf_is_left_out(
 def test_without_a_place_the_urdf_of_a_bag_is_told(start: Start) -> None:
     described(start.rig.folder, {"/robot_description": URDF.read_text()})
     assert "has a URDF on /robot_description: -o FILE" in start.init("log.mcap")
+
+
+def test_files_without_names_and_time(start: Start) -> None:
+    columns = read_columns(LOG)
+    folder = start.rig.folder / "logs"
+    folder.mkdir()
+    for stem, quantity in (("positions", "position"), ("currents", "current")):
+        table = np.column_stack([columns[f"{joint}.{quantity}"] for joint in SIX])
+        np.savetxt(folder / f"{stem}.csv", table, delimiter=",")
+    assert "rate = 200" in start.init("logs", *WORDS, code=2)
+    start.init("logs", *WORDS, "--rate", "250")
+    assert start.document["channels"] == {"rate": 250.0}
+    recording = read_recording(folder / "positions.csv", start.robot())
+    assert recording.rate_hz == pytest.approx(250.0)
+    expected = np.column_stack([columns[f"{joint}.position"] for joint in SIX])
+    np.testing.assert_allclose(recording.q, expected)
+    assert recording.tau is not None

@@ -39,6 +39,7 @@ _WARNING_CODES: tuple[tuple[str, str], ...] = (
     (r"is left out: .* has no", "imu_missing_values"),
     (r"hold either acceleration or angular velocity", "imu_alternates"),
     (r"read as (ms|us|ns)$", ""),
+    (r": read beside .*, row by row$", ""),
 )
 # Holes that the reader lays between episodes [s].
 _EPISODES = re.compile(r"episodes .* are read as stretches with a gap of ([0-9.e+]+) s")

@@ -17,6 +17,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.remote import StoredLog, is_url, stored_logs
 from seqid_cli.logs.tables.csv_form import is_text, nameless, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
+from seqid_cli.logs.tables.siblings import without_siblings
 from seqid_cli.params.dates import is_date, modified_s
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
@@ -112,7 +113,8 @@ def expand(
             ) from error
         for path in matches:
             path_by_place.setdefault(path.resolve(), path)
-    return natural_order(path_by_place.values())
+    logs, _ = without_siblings(path_by_place.values())
+    return natural_order(logs)
 
 
 def _ignore(text: str) -> None:
@@ -367,7 +369,10 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
         and path.is_file()
         and not _describes_lerobot(path)
     ]
-    return [path for path in natural_order(candidates) if _is_meant(path, note)]
+    # Files of one quantity each make a log, whether or not they tell the time.
+    leads, lead_of = without_siblings(natural_order(candidates))
+    joined = set(lead_of.values())
+    return [path for path in leads if path in joined or _is_meant(path, note)]
 
 
 def _describes_lerobot(path: Path) -> bool:

@@ -57,6 +57,7 @@ class TimeColumn:
     name: str
     unit: str | None = None  # by name or format, else by the size of the numbers
     sure: bool = False  # whether the unit stands with the name
+    rate_hz: float | None = None  # of samples without a column of time
     nanoseconds: str | None = None  # the column beside whole seconds
 
 
@@ -112,7 +113,7 @@ def is_text(kind: pa.DataType) -> bool:
 
 
 def read_stamps(
-    where: str, table: pa.Table, time: TimeColumn
+    where: str, table: pa.Table, time: TimeColumn, first_row: int = 0
 ) -> tuple[Stamps, Rows, list[str]]:
     """Read the time of the rows.
 
@@ -124,6 +125,8 @@ def read_stamps(
         M rows.
     time : TimeColumn
         Where time stands, and in which unit.
+    first_row : int
+        Number of the table's first row in its file.
 
     Returns
     -------
@@ -135,6 +138,10 @@ def read_stamps(
         Rows left out, units that were guessed, times that are too coarse.
     """
     warnings: list[str] = []
+    if time.rate_hz is not None:
+        rows = np.arange(table.num_rows)
+        stamps = np.rint((first_row + rows) * (NS_PER["s"] / time.rate_hz))
+        return stamps.astype(np.int64), rows, warnings
     with _explained(where, time.name):
         kind = column(table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):

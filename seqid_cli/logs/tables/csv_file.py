@@ -22,7 +22,9 @@ from seqid_cli.logs.tables.csv_form import (
     read_form,
 )
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
+from seqid_cli.logs.tables.side_by_side import with_siblings
 from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
+from seqid_cli.robot.toml_schema import DEFAULTS, Channels
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -319,8 +321,25 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
+    return read_table(open_table(path, robot.channels), robot, rows)
+
+
+def open_table(path: Path, channels: Channels = DEFAULTS) -> TableFile:
+    """Look at a CSV file, and at those of other quantities that belong to it.
+
+    Raises InputError where it is no table.
+    """
+
+    def opened(file: Path) -> CsvTable:
+        return _opened(file, channels)
+
+    return with_siblings(opened(path), opened, channels.files, channels.time)
+
+
+def _opened(path: Path, channels: Channels) -> CsvTable:
+    """Look at a CSV file; raises InputError where it is no table."""
     form = read_form(path)
-    declared_time = robot.channels.time
+    declared_time = channels.time
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _BLOCK))
@@ -329,7 +348,7 @@ def read_blocks(
     # A last line without an end was cut while it was written: half a number is one.
     end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
     is_cut = end != len(tail)
-    table = CsvTable(
+    return CsvTable(
         path=path,
         names=form.columns,
         entries=form.places,
@@ -339,4 +358,3 @@ def read_blocks(
         form=form,
         size=size - len(tail) + end if is_cut else None,
     )
-    return read_table(table, robot, rows)

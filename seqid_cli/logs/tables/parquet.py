@@ -25,7 +25,9 @@ from seqid_cli.logs.tables.naming_schemes import (
     LEROBOT_STATE,
     NAME_COLUMNS,
 )
+from seqid_cli.logs.tables.side_by_side import with_siblings
 from seqid_cli.logs.tables.table import TableFile, elements_in, read_table
+from seqid_cli.robot.toml_schema import DEFAULTS, Channels
 from seqid_cli.robot.types import Robot
 
 BLOCK_ROWS = 65_536
@@ -146,7 +148,19 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read a Parquet log; see `read_table`. A row has one time, whatever the source."""
     del time_source
-    return read_table(open_table(path, robot.log_names), robot, rows)
+    table = open_joined(path, robot.log_names, robot.channels)
+    return read_table(table, robot, rows)
+
+
+def open_joined(
+    path: Path, joints: Sequence[str] = (), channels: Channels = DEFAULTS
+) -> TableFile:
+    """Open a table, with those of other quantities that belong to it."""
+
+    def opened(file: Path) -> ParquetTable:
+        return open_table(file, joints)
+
+    return with_siblings(opened(path), opened, channels.files, channels.time)
 
 
 def read_tables(

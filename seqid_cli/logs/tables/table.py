@@ -28,6 +28,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 ROWS = "the rows"  # the name of a table's streams, for messages
+_TIME_KEY = "[channels] time"
 _SHOWN = 6  # missing columns that a message lists
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
 
@@ -77,7 +78,9 @@ class Plan:
     @property
     def columns(self) -> list[str]:
         """All columns to be read, each once."""
-        names: list[str | None] = [self.time.name, self.time.nanoseconds]
+        names: list[str | None] = [self.time.nanoseconds]
+        if self.time.rate_hz is None:
+            names.insert(0, self.time.name)
         for joint_columns in self.joints.values():
             names += joint_columns
         for imu in self.imus.values():
@@ -138,15 +141,19 @@ def read_table(
 
     notes = [*file.notes, *plan.warnings]
     rows_in_block = None if plan.episode else rows
+    n_rows = 0
     for table, lost in file.tables(columns, rows_in_block):
-        raw = _raw_log(file.where, table, plan, robot)
+        raw = _raw_log(file.where, table, plan, robot, n_rows)
+        n_rows += table.num_rows
         yield replace(raw, partial=lost, warnings=(*notes, *raw.warnings))
         notes = []
 
 
-def _raw_log(where: str, table: pa.Table, plan: Plan, robot: Robot) -> RawLog:
-    """Turn the columns of a table into streams."""
-    stamps, rows, warnings = read_stamps(where, table, plan.time)
+def _raw_log(
+    where: str, table: pa.Table, plan: Plan, robot: Robot, first_row: int
+) -> RawLog:
+    """Turn the columns of a table, from a row of its file on, into streams."""
+    stamps, rows, warnings = read_stamps(where, table, plan.time, first_row)
     if plan.episode is not None:
         episode = numbers(where, table, plan.episode)
         stretches = separate(stamps, rows, episode, plan.episode)
@@ -255,6 +262,11 @@ def _joint_columns(
     commands = [f"command.{name}" for name in joints]
     if "command" not in columns and log_columns.issuperset(commands):
         columns["command"] = [*commands]
+    # Files of one quantity each may all have the names of the positions' columns.
+    for quantity in QUANTITIES:
+        alike = [f"{quantity}.{name}" for name in columns.get("position", ())]
+        if quantity not in columns and alike and log_columns.issuperset(alike):
+            columns[quantity] = [*alike]
     return {name: columns[name] for name in QUANTITIES if name in columns}
 
 
@@ -265,6 +277,8 @@ def _time_column(
 
     A declared unit counts more than what name or format say.
     """
+    if channels.rate is not None:
+        return TimeColumn("", rate_hz=channels.rate)
     unit_of_format = match.time_unit if match is not None else None
     unit_by_name = schemes.time_names(file.names)
     if channels.time is None and "t" in unit_by_name:
@@ -292,7 +306,14 @@ def _time_column(
 
     name = candidates[0] if candidates else "t"
     if name not in file.names:
-        raise missing_columns(file.where, [name], file.names, what="[channels] time")
+        if channels.time is not None:
+            raise missing_columns(file.where, [name], file.names, what=_TIME_KEY)
+        raise InputError(
+            f"no column of the time; there are: {', '.join(file.names[:12])}",
+            hint=f'Say which it is in the robot file: {_TIME_KEY} = "...". Where there'
+            " is none: [channels] rate = 200 (Hz).",
+            where=file.where,
+        )
     unit = channels.time_unit or unit_by_name.get(name)
     return TimeColumn(name, unit or unit_of_format, sure=unit is not None)
 

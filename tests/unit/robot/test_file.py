@@ -178,6 +178,19 @@ OF_THE_FILE = {  # what follows the head of the file
         BOTH + '[channels]\ntime_unit = "h"\n',
         "channels.time_unit: invalid enum value 'h'",
     ),
+    "rate": (BOTH + "[channels]\nrate = 0.0\n", "channels.rate is 0"),
+    "rate and time": (
+        BOTH + '[channels]\nrate = 200.0\ntime = "t"\n',
+        "channels.rate and channels.time",
+    ),
+    "file elsewhere": (
+        BOTH + '[channels]\nfiles = { torque = "../tau.csv" }\n',
+        "channels.files.torque is '../tau.csv', which is no name",
+    ),
+    "file of no quantity": (
+        BOTH + '[channels]\nfiles = { position = "q.csv" }\n',
+        "invalid enum value 'position' .*channels.files",
+    ),
     "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
     "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),
     "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),

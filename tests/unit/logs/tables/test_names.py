@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.guess import guess
+from seqid_cli.inspect.guess import Known, guess
 from seqid_cli.logs.contents import LogContents
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
@@ -66,7 +66,7 @@ def test_reader_and_proposal_take_the_same_columns(
 
     names = ("time", *columns)
     contents = LogContents(format="parquet", channels=names, joints=(), columns=names)
-    guessed = guess(contents, robot_joints=(*NAMES, "gripper"))
+    guessed = guess(contents, Known(joints=(*NAMES, "gripper")))
     assert guessed.joints == NAMES
     assert guessed.patterns["position"] == form[0]
     assert guessed.patterns["torque"] == form[2]
@@ -79,7 +79,7 @@ def test_other_units_are_not_taken_unasked(tmp_path: Path, unit: str) -> None:
         read(tmp_path, of_joints(**{form: MOTION.q}))
     names = ("time", *of_joints(**{form: MOTION.q}))
     contents = LogContents(format="csv", channels=names, joints=(), columns=names)
-    guessed = guess(contents, robot_joints=NAMES)
+    guessed = guess(contents, Known(joints=NAMES))
     assert guessed.patterns["position"] == form
     assert "mm" in unit or guessed.unit == "deg"
 

@@ -16,7 +16,7 @@ from seqid_cli.robot.urdf import UrdfText, check_joints, left_out, parse_urdf
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from seqid_cli.robot.toml_schema import ImuEntry, RobotFile
+    from seqid_cli.robot.toml_schema import ImuEntry, JointEntry, RobotFile
     from seqid_cli.robot.types import (
         Array,
         Chain,
@@ -121,7 +121,7 @@ def _joints(
             torque_constant_error=entry.torque_constant_error,
             position_zero_error=entry.position_zero_error,
             gear_ratio=entry.gear_ratio,
-            rotor_inertia=entry.rotor_inertia,
+            rotor_inertia=_rotor_inertia(content, entry),
             winding_resistance=entry.winding_resistance,
             supply_voltage=entry.supply_voltage,
             encoder_resolution=entry.encoder_resolution,
@@ -132,6 +132,14 @@ def _joints(
         )
         for entry, is_prismatic in zip(content.joint, chain.prismatic, strict=True)
     )
+
+
+def _rotor_inertia(content: "RobotFile", entry: "JointEntry") -> float | None:
+    """Return the rotor inertia that the torque of a joint feels; None: not known."""
+    # A sensor behind the gear feels what the gear passes on, and that is without rotor.
+    if (entry.torque_side or content.torque_side) == "link":
+        return 0.0
+    return entry.rotor_inertia
 
 
 def _locked(urdf: UrdfText, names: tuple[str, ...]) -> tuple["LockedJoint", ...]:

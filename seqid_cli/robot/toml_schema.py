@@ -100,6 +100,10 @@ class JointEntry(Table, frozen=True):
             " which does not see the gear twist"
         ),
     ] = "motor"
+    torque_side: Annotated[
+        Literal["motor", "link"] | None,
+        Meta(description="that of this joint, where it is not that of the robot"),
+    ] = None
     position_limits: Annotated[
         tuple[float, float] | None, Meta(description="lowest and highest [rad]")
     ] = None
@@ -288,6 +292,13 @@ class RobotFile(Table, frozen=True):
         str | None,
         Meta(description="path from this file; or give dh of every joint"),
     ] = None
+    torque_side: Annotated[
+        Literal["motor", "link"],
+        Meta(
+            description="'link' where the torques are of sensors behind the gears, which"
+            " do not feel the rotors"
+        ),
+    ] = "motor"
     gravity_error: Annotated[
         float, Meta(description="standard error of gravity's direction [rad]")
     ] = 0.0

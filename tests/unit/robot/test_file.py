@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.small import NAMES_6R, urdf_6r
@@ -230,3 +231,17 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     assert "other.toml" in caught.value.hint
     with pytest.raises(ConfigError, match="is a folder"):
         load_robot(tmp_path)
+
+
+def test_a_torque_sensor_behind_the_gear_does_not_feel_the_rotor(
+    tmp_path: Path,
+) -> None:
+    """Its column is left out, of all joints or of one, whatever the file gives."""
+    motors = _load(tmp_path, f"{HEAD}{ONE}{TWO}")
+    assert {"Ia_1", "Ia_2"} & set(free_basis(motors).names)
+    head = HEAD.replace("gravity", 'torque_side = "link"\ngravity')
+    links = _load(tmp_path, f"{head}{ONE}rotor_inertia = 1e-4\n{TWO}")
+    assert [joint.rotor_inertia for joint in links.joints] == [0.0, 0.0]
+    assert not {"Ia_1", "Ia_2"} & set(free_basis(links).names)
+    one = _load(tmp_path, f'{head}{ONE}torque_side = "motor"\n{TWO}')
+    assert [joint.rotor_inertia for joint in one.joints] == [None, 0.0]

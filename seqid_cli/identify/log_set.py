@@ -5,15 +5,18 @@ They are taken here in the order of the logs; the result is the same to the last
 whoever made the parts.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from msgspec.structs import replace as replace_fields
+
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.inspect.findings import USABLE_AT_MOST, grouped, located
+from seqid_cli.inspect.findings import USABLE_AT_MOST, finding_of, grouped, located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import open_screened, read_screened
 from seqid_cli.logs.given import warn
@@ -37,7 +40,7 @@ class LogSet:
     """Logs to be read and worked on.
 
     Iterate over it once, or have it `mapped` once; what was `read`, the `findings` and
-    what is `left_out` are complete afterwards. Warnings come as the logs are read. Of
+    what is `left_out` are complete afterwards, and warnings come then. Of
     logs with the same content the first counts. `logs`: a recording is taken as it is,
     without checks. `reading`: by which stamps logs are read, and which part of them.
     `imus`: whether the readings of IMUs are used, and hence checked. `checks`: whether
@@ -63,6 +66,8 @@ class LogSet:
     _first: dict[str, Path] = field(default_factory=dict)
     # of the logs read, see `times_s`
     _times_s: list[float] = field(default_factory=list)
+    # what is warned of once all logs are read
+    _to_warn: list[InspectionFinding] = field(default_factory=list)
 
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
@@ -201,6 +206,17 @@ class LogSet:
                 answer(task, i) if self.skip_failed else Reply(task(i)) for i in items
             )
 
+        try:
+            yield from self._parts(items, replies)
+        finally:
+            self._warn()
+
+    def _parts(
+        self,
+        items: Sequence[tuple[int, Path | Recording]],
+        replies: Iterator[Reply[tuple[LogNote, P]]],
+    ) -> Iterator[P]:
+        """Yield the parts of logs, and account for each."""
         errors: list[Exception] = []
         for _, source in items:
             log = str(source.path if isinstance(source, Recording) else source)
@@ -250,14 +266,9 @@ class LogSet:
         self.findings += note.findings
         self.tell("done", log=str(note.path), note=note)
         for finding in note.findings:
-            if finding.severity == "error":
-                place = " ".join(
-                    part for part in (finding.joint, finding.channel) if part
-                )
-                text = f"{place}: {finding.message}" if place else finding.message
-                warn(f"{note.path}: [{finding.code}] {text}")
-            elif finding.message in note.warnings:
-                warn(_in_words([finding]))
+            # What the reader says counts at once, other warnings in the result only.
+            if finding.severity == "error" or finding.message in note.warnings:
+                self._to_warn.append(finding)
 
         if not self.reading.part and self.reading.part_of(note.sha256):
             words = " ".join(self.reading.part_of(note.sha256).words)
@@ -270,7 +281,21 @@ class LogSet:
         if note.partial:
             texts.append(f"only partly read: {note.partial}")
         for text in texts:
-            warn(f"{note.path}: {text}")
+            reader = finding_of("reader", text)
+            self._to_warn.append(replace_fields(reader, log=str(note.path)))
+
+    def _warn(self) -> None:
+        """Warn of what was found in the logs, in one line for all that share it."""
+        groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
+        for finding in self._to_warn:
+            text = ""
+            if finding.code == "reader":  # alike but for its numbers
+                text = re.sub("[0-9]+", "#", finding.message)
+            place = (finding.code, finding.channel, text)
+            groups.setdefault(place, []).append(finding)
+        self._to_warn.clear()
+        for group in groups.values():
+            warn(_as_warning(group))
 
 
 def paths_of(recordings: Iterable[Recording]) -> list[Path]:
@@ -296,6 +321,21 @@ def mapped(
     return (part(log, number) for number, log in enumerate(logs))
 
 
+def _as_warning(group: Sequence[InspectionFinding]) -> str:
+    """Return findings of one kind, of some joints and logs, as one warning."""
+    first = group[0]
+    message = first.message.removeprefix(f"{first.joint}: ")
+    logs = _logs_in_words(group)
+    if first.code == "reader":
+        return f"{logs}: {message}"
+    joints = ", ".join(dict.fromkeys(f.joint for f in group if f.joint))
+    if first.severity == "error":
+        place = " ".join(part for part in (joints, first.channel) if part)
+        text = f"{place}: {message}" if place else message
+        return f"{logs}: [{first.code}] {text}"
+    return (f"{joints}: " if joints else "") + _text(group)
+
+
 def _in_words(group: Sequence[InspectionFinding]) -> str:
     """Return the text of findings of one kind, after their joint."""
     joint = group[0].joint
@@ -305,15 +345,17 @@ def _in_words(group: Sequence[InspectionFinding]) -> str:
 def _text(group: Sequence[InspectionFinding]) -> str:
     """Return the text of findings of one kind, with the first log and their count."""
     first = group[0]
-    logs = list(dict.fromkeys(finding.log for finding in group))
-    further_logs = (
-        f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}"
-        if len(logs) > 1
-        else ""
-    )
     channel = f"{first.channel} " if first.channel else ""
     message = first.message.removeprefix(f"{first.joint}: ")
-    return f"[{first.code}] {logs[0]}{further_logs}: {channel}{message}"
+    return f"[{first.code}] {_logs_in_words(group)}: {channel}{message}"
+
+
+def _logs_in_words(group: Sequence[InspectionFinding]) -> str:
+    """Return the first log of findings, and how many more there are."""
+    logs = list(dict.fromkeys(finding.log for finding in group))
+    if len(logs) == 1:
+        return logs[0]
+    return f"{logs[0]} and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}"
 
 
 def _note_of(log: UniformLog) -> LogNote:

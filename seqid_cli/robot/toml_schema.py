@@ -295,8 +295,8 @@ class RobotFile(Table, frozen=True):
     torque_side: Annotated[
         Literal["motor", "link"],
         Meta(
-            description="'link' where the torques are of sensors behind the gears, which"
-            " do not feel the rotors"
+            description="'link' where the torques are of sensors behind the gears,"
+            " which do not feel the rotors"
         ),
     ] = "motor"
     gravity_error: Annotated[

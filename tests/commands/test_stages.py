@@ -144,7 +144,7 @@ def test_what_friction_shows(rig: Rig, reader: Reader, identified: Replace) -> N
     done = rig.run("friction", *COMMON, "--json")
     assert done.out == (rig.folder / "out.json").read_text()
     jsonschema.validate(json.loads(done.out), json_schema(SCHEMA))
-    assert "warning: a.parquet: jitter is 20 %" in done.err
+    assert "warning: a.parquet and 1 more log: jitter is 20 %" in done.err
 
 
 @pytest.mark.parametrize("name", ["poor", "faulty", "partial"])

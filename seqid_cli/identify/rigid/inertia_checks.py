@@ -51,8 +51,8 @@ def inertia_verdicts(
         if _is_negative_rotor(parameter, settings):
             reason = (
                 f"{parameter.name} is {parameter.value:.3g} +-"
-                f" {parameter.std_error:.2g}: a rotor cannot have negative inertia. Where"
-                " the torque is that of a sensor behind the gear, write torque_side ="
+                f" {parameter.std_error:.2g}: a rotor cannot have negative inertia."
+                " Where the torque is of a sensor behind the gear, write torque_side ="
                 ' "link" in the robot file'
             )
             yield Verdict(joint=parameter.joint, good=False, reason=reason)

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from seqid_cli.identify.friction_surface.checks import friction_verdicts
 from seqid_cli.identify.judging import as_a_whole, verdicts_by_earlier
-from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.log_set import LogSet, _as_warning
 from seqid_cli.identify.rigid.gravity_checks import gravity_verdicts
 from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
 from seqid_cli.inspect.findings import finding_of
@@ -92,3 +92,16 @@ def test_errors_of_logs_are_verdicts_and_warnings_are_notes(one_joint: Rig) -> N
     assert logs.notes() == [
         "a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"
     ]
+
+
+def test_a_warning_of_many_logs_and_joints_is_one_line() -> None:
+    jumps = [
+        replace(finding_of("position_jump", "jumps by 1", joint, "position"), log=log)
+        for log in ("a", "b", "c")
+        for joint in ("one", "two")
+    ]
+    assert _as_warning(jumps) == (
+        "a and 2 more logs: [position_jump] one, two position: jumps by 1"
+    )
+    told = [replace(finding_of("reader", "is odd"), log=log) for log in ("a", "b")]
+    assert _as_warning(told) == "a and 1 more log: is odd"

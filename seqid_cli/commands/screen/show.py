@@ -92,7 +92,11 @@ def _rigid(
 ) -> None:
     """Print the parameters of a stage, then a row per joint: its error and verdict."""
     if not stage.parameters:
-        screen.result(f"{name}: nothing to identify on this robot")
+        # A robot without parameters, such as a planar arm's gravity, excites none.
+        text = "nothing to identify on this robot"
+        if stage.not_excited:
+            text = "nothing is identified: these logs are too short, or move too little"
+        screen.result(f"{name}: {text}")
     parameters = [
         (parameter.name, parameter.value, parameter.std_error, parameter.unit)
         for parameter in stage.parameters

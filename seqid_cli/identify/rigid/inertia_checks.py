@@ -58,7 +58,12 @@ def inertia_verdicts(
             yield Verdict(joint=parameter.joint, good=False, reason=reason)
     yield from _negative_inertias(stage, robot, settings)
 
-    in_logs = gravity_of_stage(stage, robot)
+    # Of a joint that stands no gravity is identified.
+    in_logs = {
+        j: torque
+        for j, torque in gravity_of_stage(stage, robot).items()
+        if not stage.rmse or robot.joint_names[j] in stage.rmse
+    }
     if gravity is not None and gravity.parameters:
         yield from verdicts_by_stage(in_logs, robot, gravity, IN_LOGS, settings)
     yield from verdicts_by_nominal(in_logs, robot, settings)

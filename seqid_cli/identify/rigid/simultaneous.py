@@ -306,6 +306,11 @@ class OneStepResult:
         with_floor = [
             (name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]
         ]
+        moved = {
+            name: j
+            for j, name in enumerate(robot.joint_names)
+            if rows.joints[j].samples
+        }
         n_friction = len(rows.terms) * len(self.moved_joints)
         return replace_fields(
             stage,
@@ -313,7 +318,7 @@ class OneStepResult:
             noise_floor_high={name: float(floor.high[j]) for name, j in with_floor},
             rank=solution.rank - n_friction,
             friction_sensitivity=self._friction_sensitivity(),
-            rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
+            rmse={name: float(solution.sigma[j]) for name, j in moved.items()},
             method="simultaneous",
             motion={use.log: equations.source_text(use) for use in self.uses},
             motion_use=list(self.uses),
@@ -418,6 +423,11 @@ class OneStepResult:
         reason = (
             f"condition {solution.condition:.3g}, {n_missing} parameter(s) not excited"
         )
+        if n_missing == self.rows.basis.size:
+            reason = (
+                "no parameter is excited: these logs are too short, or joints move too"
+                " little in them"
+            )
         return [*verdicts, schema.Verdict(good=not n_missing, reason=reason)]
 
     def _wave_rms(self, j: int) -> float:

@@ -23,6 +23,7 @@ from seqid_cli.inspect.dynamics.weights import (
     weight_findings,
     weights,
 )
+from seqid_cli.inspect.dynamics.zeros import zero_findings
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -127,6 +128,7 @@ def _nearly_right(
         return
 
     if sample.robot.nominal is None:
+        yield from zero_findings(sample)
         return
     best = _best(_shifted(sample, _nominal_error), sample, _nominal_error)
     if best is None:

@@ -48,6 +48,18 @@ def test_gravity_turned_round_is_found_with_and_without_inertials(
     assert inspected(columns, tmp_path, turned) == [("gravity_direction", "")]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("shift", "expected"), [(0.6, True), (0.0, False)])
+def test_a_zero_is_told_by_the_equations_of_all_joints_without_inertials(
+    shift: float, expected: bool, tmp_path: Path
+) -> None:
+    columns = read_columns(FOLDER / "validation" / "fourier_1.parquet")
+    columns["shoulder_lift.position"] += shift
+    wide = {"[-2.7, 0.3]": "[-4.0, 4.0]"} if shift else {}
+    found = inspected(columns, tmp_path, BARE | wide)
+    assert found == ([("position_zero", "shoulder_lift")] if expected else [])
+
+
 def noise(kind: str, count: int) -> Array:
     """Noise (N,) of a velocity, rad/s."""
     white = np.random.default_rng(5).standard_normal(count)

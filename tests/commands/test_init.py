@@ -427,7 +427,8 @@ def test_time_in_ms_without_a_unit_is_told_by_the_rate(start: Start) -> None:
 
 
 def lerobot(start: Start, factor: float, *kinds: str) -> None:
-    """Write the sample log as a LeRobot data set, its torques as they are."""
+    """Write the sample log as a LeRobot data set, with its torques in N m."""
+    drives = load_robot(SIX_JOINT / "robot.toml").joints
     columns = {name: x[::5] for name, x in read_columns(LOG).items()}
     values = {
         "pos": [factor * columns[f"{joint}.position"] for joint in SIX],
@@ -435,7 +436,10 @@ def lerobot(start: Start, factor: float, *kinds: str) -> None:
             factor * np.gradient(columns[f"{joint}.position"], columns["t"])
             for joint in SIX
         ],
-        "torque": [columns[f"{joint}.current"] for joint in SIX],
+        "torque": [
+            (drive.torque_per_ampere or 1.0) * columns[f"{drive.name}.current"]
+            for drive in drives
+        ],
     }
     names = [f"{joint}.{kind}" for joint in SIX for kind in kinds]
     states = [values[kind][j] for j in range(len(SIX)) for kind in kinds]
@@ -454,6 +458,7 @@ def lerobot(start: Start, factor: float, *kinds: str) -> None:
 
 
 def test_degrees_of_a_state_with_speeds_are_told_by_the_limits(start: Start) -> None:
+    start.urdf("(?s)<inertial.*?</inertial>", "")  # nor do masses tell it
     lerobot(start, np.degrees(1.0), "pos", "vel", "torque")
     said = start.init("set", *WORDS)
     assert 'check unit = "deg"' in said

@@ -81,14 +81,19 @@ def first_agreeing(
         Hypotheses, the likeliest first.
     tolerance : float
         Share by which a factor may differ beside its error. One that is hardly known
-        agrees with anything, and says nothing.
+        agrees with anything, and says nothing: it is left out.
     """
-    if any(factor.relative_error > HARDLY_KNOWN for _, factor in measured):
+    telling = [
+        (joint, factor)
+        for joint, factor in measured
+        if factor.relative_error <= HARDLY_KNOWN
+    ]
+    if not telling:
         return None
     for scale in scales:
         if all(
             factor.agrees(float(scale.factors[joint]), tolerance)
-            for joint, factor in measured
+            for joint, factor in telling
         ):
             return scale
     return None

@@ -79,7 +79,7 @@ app = command_app()
     epilog=examples(
         f"seqid predict {_VALIDATION} -o prediction.json",
         f"seqid predict {_VALIDATION} --torques torques.parquet --json",
-        f"seqid predict {_VALIDATION} --torques torques.mcap",
+        f"seqid predict {_VALIDATION} --torques torques.mcap --layouts layouts",
     ),
 )
 def predict(
@@ -94,6 +94,17 @@ def predict(
             "--torques",
             metavar="FILE",
             help="Where the torques go: as MCAP if it ends so, else Parquet.",
+        ),
+    ] = None,
+    layouts: Annotated[
+        Path | None,
+        typer.Option(
+            "--layouts",
+            metavar="FOLDER",
+            help=(
+                "Where layouts of PlotJuggler and Foxglove go that show the torques of"
+                " this robot's joints."
+            ),
         ),
     ] = None,
     source: MotionOption = "auto",
@@ -158,6 +169,11 @@ def predict(
     _show_prediction(run.screen, file)
     if torques is not None:
         run.screen.note(f"written: {torques}")
+    if layouts is not None:
+        from seqid_cli.identify.prediction.layouts import write_layouts
+
+        for path in write_layouts(layouts, file.robot.joints):
+            run.screen.note(f"written: {path}")
     run.show_output(output)
     return run.exit_code(file.verdicts, strict=strict)
 

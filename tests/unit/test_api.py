@@ -40,6 +40,7 @@ ON_SCREEN_ONLY |= {"quiet", "verbose", "json", "no_color", "debug"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 OTHERWISE |= {"set_values", "show_settings"}  # settings
 OTHERWISE |= {"start", "stop", "exclude"}  # a part
+OTHERWISE |= {"layouts"}  # for viewers
 # a shell's script, a template, and the others in a row
 WITHOUT = {"completion", "init", "run"}
 

@@ -11,8 +11,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from seqid_cli.identify.prediction.layouts import NAMES, write_layouts
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import TOPICS, mcap_writer
+from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.plants.robots.made import made_prediction
 
@@ -92,11 +94,48 @@ def test_a_clock_that_no_stamp_holds_starts_from_zero(
     assert times(save(tmp_path / "out.mcap", prediction("a", start)))["a"][0] == 0.0
 
 
-def test_layouts_show_the_topics() -> None:
-    layout = ElementTree.parse(LAYOUTS / "plotjuggler.xml")
+def shown(folder: Path) -> tuple[list[str], list[str], list[str]]:
+    """What layouts show: PlotJuggler's curves, Foxglove's paths, panels in order."""
+    layout = ElementTree.parse(folder / "plotjuggler.xml")
     curves = [curve.get("name", "") for curve in layout.iter("curve")]
-    panels = json.loads((LAYOUTS / "foxglove.json").read_text())["configById"].values()
-    paths = [path["value"] for panel in panels for path in panel["paths"]]
+    document = json.loads((folder / "foxglove.json").read_text())
+    panels = document["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel["paths"]]
+
+    def leaves(part: object) -> list[str]:
+        if isinstance(part, str):
+            return [part]
+        assert isinstance(part, dict)
+        return leaves(part["first"]) + leaves(part["second"])
+
+    titles = [panels[name]["title"] for name in leaves(document["layout"])]
+    return curves, paths, titles
+
+
+def test_layouts_show_the_topics() -> None:
+    curves, paths, _ = shown(LAYOUTS)
     for topic in TOPICS:
         assert f"{topic}/elbow/effort" in curves
         assert f"{topic}.effort[5]" in paths
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
+def test_layouts_for_a_robot_s_own_joints(tmp_path: Path, count: int) -> None:
+    joints = [f'a<{k}>&"' for k in range(count)]  # any name is possible in a URDF
+    folder = tmp_path / "new" / "folder"
+    assert [path.name for path in write_layouts(folder, joints)] == list(NAMES)
+    curves, paths, titles = shown(folder)
+    assert titles == joints
+    for topic in TOPICS:
+        for number, joint in enumerate(joints):
+            assert f"{topic}/{joint}/effort" in curves
+            assert f"{topic}.effort[{number}]" in paths
+    assert len(paths) == len(set(paths)) == count * len(TOPICS)
+
+
+def test_the_layouts_of_the_documents_are_those_of_the_sample_arm(
+    tmp_path: Path,
+) -> None:
+    joints = load_robot(ROOT / "sample_logs" / "six_joint" / "robot.toml").joint_names
+    write_layouts(tmp_path, joints)
+    assert shown(tmp_path) == shown(LAYOUTS)

@@ -101,6 +101,20 @@ COMMANDS: Mapping[str, CommandEntry] = {
 }
 
 
+# Typer leaves the lines behind \b as they are.
+_ORDER_OF_WORK = """\b
+Order of work:
+  1. init LOG --urdf ARM -o robot.toml   then complete robot.toml
+  2. inspect LOG... -r robot.toml        until nothing is wrong
+  3. any motion: simultaneous; moves of single joints as well: run FOLDER, or
+     friction, gravity, imu-calib, inertia one after the other
+  4. predict and diagnose on logs that were not fitted, then refine
+  5. report, export; plan says what to record next
+
+Logs: MCAP, ROS 1 and 2 bags, Parquet, CSV, LeRobot data sets.
+"""
+
+
 def run(arguments: Sequence[str]) -> int:
     """Run a command line; whatever happens becomes a message and an exit code."""
     try:
@@ -177,6 +191,7 @@ def _overview(words: Sequence[str]) -> TyperGroup:
     app = typer.Typer(
         name="seqid",
         help="From recorded robot logs to a dynamic model that an engineer trusts.",
+        epilog=_ORDER_OF_WORK,
         add_completion=False,
         rich_markup_mode=None,
         no_args_is_help=True,

@@ -54,7 +54,11 @@ def is_positive(value: float) -> bool:
 LogsArgument = Annotated[
     list[str],
     typer.Argument(
-        metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."
+        metavar="LOG...",
+        help=(
+            "Files, folders or globs, formats mixed: MCAP, ROS 1 and 2 bags, Parquet,"
+            " CSV, LeRobot data sets."
+        ),
     ),
 ]
 RobotOption = Annotated[

@@ -162,7 +162,8 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
 def _parse(path: Path, raw: bytes) -> dict[str, object]:
     """Parse TOML; raises ConfigError where the bytes are none."""
     try:
-        text = raw.decode("utf-8")
+        # Windows editors put a mark of the byte order in front.
+        text = raw.decode("utf-8-sig")
         # each part is a table, and the parser keeps the way to each
         if not _DEEP_KEY.search(text):
             return tomllib.loads(text)

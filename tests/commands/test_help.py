@@ -30,6 +30,18 @@ def test_the_overview_lists_every_command(rig: Rig) -> None:
     assert "Commands:" in nothing.err
 
 
+def test_the_overview_tells_the_order_of_work_and_all_formats(rig: Rig) -> None:
+    text = rig.run("--help").out
+    order = text.partition("Order of work:\n")[2]
+    named = [word for word in re.findall(r"[a-z-]+", order) if word in COMMANDS]
+    first = ["init", "inspect", "simultaneous", "run", "friction", "gravity"]
+    assert named[: len(first)] == first
+    formats = ("MCAP", "ROS 1 and 2 bags", "Parquet", "CSV", "LeRobot")
+    for name in ("", "inspect", "simultaneous", "payload"):
+        said = " ".join(rig.run(*filter(None, [name]), "--help").out.split())
+        assert all(each in said for each in formats), name
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_the_common_flags_and_two_examples(
     rig: Rig, name: str

@@ -213,6 +213,12 @@ CASES: dict[str, tuple[str | bytes, str]] = {
 }
 
 
+def test_a_mark_of_the_byte_order_in_front(tmp_path: Path) -> None:
+    """Windows editors write one."""
+    robot = _load(tmp_path, b"\xef\xbb\xbf" + (HEAD + ONE).encode())
+    assert robot.name == "two"
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_mistakes_are_named_by_file_and_key(tmp_path: Path, case: str) -> None:
     text, message = CASES[case]

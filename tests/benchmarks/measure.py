@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from tests.benchmarks.figaroh_case import usage
 
@@ -23,6 +23,30 @@ def child_cpu_s(
     subprocess.run(command, capture_output=True, check=True, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+class Cost(NamedTuple):
+    """What one process took."""
+
+    cpu_s: float
+    peak_mib: float
+
+
+def child_cost(
+    command: Sequence[str], environment: Mapping[str, str] = os.environ
+) -> Cost:
+    """User and system time of a command, and the most memory that it held."""
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=dict(environment),
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code:
+        raise subprocess.CalledProcessError(code, command)
+    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
 
 
 def told_by(command: Sequence[str]) -> Told:

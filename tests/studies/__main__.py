@@ -48,6 +48,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "whole_run": (COSTS, whole_run.study),
     "smoother": (COSTS, kernels.smoother),
     "discovery": (COSTS, discovery.study),
+    "short_logs": (COSTS, discovery.short_logs),
     "exported_step": (COSTS, exported.study),
     "exported_effects": ("evidence/exported.md", exported_effects.study),
     "settings": ("reference/settings.md", settings.study),

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.inspect.channels.clock import clock_findings
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
@@ -144,6 +145,8 @@ def open_screened(
             return Opened(*screened_long(long, robot))
     if not checks:
         recording, raw = read_both(path, robot, reading=reading)
+        data = LogData(recording=recording, raw=raw, robot=robot)
+        _refuse_other_time([*clock_findings(data)], path)
         return Opened(sound(recording, raw, robot), ())
     return Opened(*read_screened(path, robot, reading=reading, imus=imus))
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.signal import get_window
 
+from seqid_cli.errors import InputError
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
@@ -96,6 +97,11 @@ class Survey:
         self._levels: list[Array] = [np.zeros(0) for _ in range(n)]
         self._fourth = Thinned(MOST_LEVELS)
         lengths = _lengths(rate_hz, samples)
+        if lengths.second < 1:
+            raise InputError(
+                f"{samples} samples are too few to be filtered",
+                hint="Record longer, or look at the unit of time (seqid inspect LOG).",
+            )
         self._halves = lengths.halves
         self._second = Welch(lengths.second, 2)
         self._velocity = Welch(lengths.velocity, 1)

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.errors import InputError
+from seqid_cli.identify.functions import simultaneous
 from seqid_cli.inspect.inspection import inspect_log
-from seqid_cli.inspect.screening import read_screened, screened_long
+from seqid_cli.inspect.screening import open_screened, read_screened, screened_long
 from seqid_cli.logs.long import open_if_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
@@ -58,3 +60,18 @@ def test_stages_hear_what_inspect_calls_an_error(
     assert (np.abs(damaged - sound).max() > 0.1) == ("position_spikes" in codes)
     for q in (held.recording.q, np.concatenate([block.q for block in log.blocks()])):
         assert np.abs(q - sound).max() < 0.06  # bridged, not what was there
+
+
+def test_time_in_another_unit_is_refused_with_and_without_checks(
+    robot: Robot, tmp_path: Path
+) -> None:
+    columns = read_columns(LOG)
+    columns["t"] = 1000.0 * columns["t"]
+    path = tmp_path / "log.parquet"
+    write_columns(path, columns)
+    for checks in (True, False):
+        with pytest.raises(InputError, match="looks like ms") as refused:
+            open_screened(path, robot, checks=checks)
+        assert 'time_unit = "ms"' in refused.value.hint
+    with pytest.raises(InputError, match="looks like ms"):
+        simultaneous([path], robot)

@@ -31,6 +31,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.template import JointTemplate, RobotTemplate, robot_toml
 from seqid_cli.robot.urdf import UrdfJoint, UrdfText
 
+NO_LIMIT = 1e3  # rad, rad/s (m, m/s), from which on a limit is none
 # Channels that a robot file may have only with the data of the servos.
 _OF_SERVOS = ("voltage", "pwm")
 
@@ -189,6 +190,11 @@ def _codes_by(template: RobotTemplate, urdf: UrdfText, log: Path) -> set[str]:
     return codes
 
 
+def _limited(limit: float | None) -> float | None:
+    """Return a limit of the URDF, or None where it is as large as none."""
+    return None if limit is None or limit >= NO_LIMIT else limit
+
+
 def _inspected_joints(reports: Sequence[Inspected]) -> dict[str, InspectedJoint]:
     """Return the joints of all logs by name; a joint moves if it moves in any log."""
     joints: dict[str, InspectedJoint] = {}
@@ -282,9 +288,11 @@ def _joint(
     units: Mapping[str, str],
 ) -> JointTemplate:
     """Describe a joint of the robot file."""
+    # Programs that export URDFs write 1e16 where a joint has no limit.
     limits = None
     if joint is not None and joint.lower is not None and joint.upper is not None:
-        limits = (joint.lower, joint.upper)
+        is_limit = max(abs(joint.lower), abs(joint.upper)) < NO_LIMIT
+        limits = (joint.lower, joint.upper) if is_limit else None
     step = inspected.encoder_step
     if step is not None:
         # The inspection took all positions for angles in the guessed unit, those of
@@ -307,7 +315,7 @@ def _joint(
     return JointTemplate(
         name=joint.name,
         limits=limits,
-        velocity=joint.velocity,
+        velocity=_limited(joint.velocity),
         encoder_step=step,
         moves=inspected.moves,
         remark=remark,

@@ -577,3 +577,15 @@ def test_files_without_names_and_time(start: Start) -> None:
     expected = np.column_stack([columns[f"{joint}.position"] for joint in SIX])
     np.testing.assert_allclose(recording.q, expected)
     assert recording.tau is not None
+
+
+def test_limits_that_are_none_are_left_out(start: Start) -> None:
+    """Programs that export URDFs write 1e16 where a joint has no limit."""
+    urdf = start.rig.folder / "arm.urdf"
+    text = re.sub(
+        'lower="[^"]*" upper="[^"]*"', 'lower="-1e16" upper="1e16"', urdf.read_text()
+    )
+    urdf.write_text(text)
+    start.init("log.parquet", *WORDS)
+    assert all("position_limits" not in joint for joint in start.document["joint"])
+    load_robot(start.file)

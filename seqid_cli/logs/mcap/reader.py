@@ -385,6 +385,14 @@ def _no_joint_states(
 ) -> InputError:
     """Make the error for a file without joint states that can be read."""
     where = str(scan.path)
+    unequal = collector.names.unequal
+    if collector.received and unequal:
+        return InputError(
+            f"{unequal} in the messages on {collector.topic}: which joint lacks one"
+            " cannot be told",
+            hint="Let the driver send a value for each joint, NaN where there is none.",
+            where=where,
+        )
     if collector.received:
         encodings = ", ".join(sorted(collector.refused))
         fault = "they are damaged"

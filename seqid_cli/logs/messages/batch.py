@@ -132,6 +132,8 @@ class NameMap:
         most: int = 200,
     ) -> None:
         self.joints = tuple(joints)
+        # What the first message says whose arrays and names differ in number.
+        self.unequal = ""
         self.effort = effort
         self.interfaces = dict(interfaces)
         self.seen: dict[str, None] = {}
@@ -261,9 +263,9 @@ def _fill_from_arrays(row: list[object], message: object, names: NameMap) -> Non
     arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
     for quantity, array in zip(JOINT_QUANTITIES, arrays, strict=True):
         if len(array) not in (0, len(entries)):
-            raise ValueError(
-                f"{len(array)} values of {quantity} for {len(entries)} names"
-            )
+            text = f"{quantity} has {len(array)} values for {len(entries)} names"
+            names.unequal = names.unequal or text
+            raise ValueError(text)
     n = len(names.joints)
     for entry, joint in names.pairs(entries):
         row[joint::n] = [array[entry] if array else None for array in arrays]

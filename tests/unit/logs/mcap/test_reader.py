@@ -293,3 +293,14 @@ def test_unusable_descriptors_are_an_error(tmp_path: Path, schema: bytes) -> Non
     path = write_raw(tmp_path / "log.mcap", topics, [("/joint_states", 0, b"")])
     with pytest.raises(InputError, match="can be decoded"):
         read_recording(path, make_robot())
+
+
+def test_efforts_of_fewer_joints_than_names_are_said_so(tmp_path: Path) -> None:
+    """They are not damaged, but nobody can tell whose they are."""
+    motion = make_motion(grid(100))
+    messages = writers.arm_messages(motion.t, JOINTS, motion.q, effort=motion.tau)
+    for _, _, content in messages:
+        content.effort = content.effort[:-1]
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    with pytest.raises(InputError, match="effort has 2 values for 3 names"):
+        read_recording(path, make_robot())

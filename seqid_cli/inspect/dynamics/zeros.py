@@ -72,7 +72,7 @@ def _shifts(
     slope: float = 1e-3,
     ridge: float = 1e-9,
 ) -> dict[int, Factor]:
-    """Fit a shift [rad] for each joint, with its standard error.
+    """Fit a shift [rad] for each joint, with its standard error; none where none shows.
 
     `largest_step`, the step at which it is `done`, and the change by which a `slope` is
     taken are in rad; `ridge` is the share of the information that bounds what is not
@@ -92,6 +92,8 @@ def _shifts(
             slopes.append((left(direction) - left(-direction)) / (2.0 * slope))
         J = np.array(slopes).T
         information = J.T @ J
+        if not information.any():
+            return {}  # no torque depends on any zero, as of an arm across gravity
         size = float(np.trace(information)) * np.eye(len(joints))
         # Steps along what is hardly determined would go nowhere.
         step = -np.linalg.solve(information + 1e3 * ridge * size, J.T @ r)

@@ -723,6 +723,7 @@ def one_step_level(
     )
     rows: Any = SimpleNamespace(
         robot=robot(),
+        basis=SimpleNamespace(size=1),
         joints=[SimpleNamespace(samples=100)],
         torque_squares=np.array([100.0]),
         friction=[slice(0, 1)],

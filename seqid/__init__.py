@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from seqid_cli import (
         compare,
         discover,
+        drive,
         export,
         identify,
         inspect,

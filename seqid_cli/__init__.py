@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from seqid_cli import (
         compare,
         discover,
+        drive,
         export,
         identify,
         inspect,
@@ -34,6 +35,7 @@ __version__ = "0.1.0"
 PACKAGES = (
     "compare",
     "discover",
+    "drive",
     "export",
     "identify",
     "inspect",

@@ -38,6 +38,7 @@ class CommandEntry(NamedTuple):
 
 
 _COMPARISON = "seqid_cli.commands.comparison"
+_DRIVES = "seqid_cli.commands.drives"
 _LOGS = "seqid_cli.commands.logs"
 _MODELS = "seqid_cli.commands.models"
 _STAGES = "seqid_cli.commands.stages"
@@ -80,6 +81,12 @@ COMMANDS: Mapping[str, CommandEntry] = {
     ),
     "payload": CommandEntry(
         _MODELS, "Identify the mass, centre and inertia that the flange carries."
+    ),
+    "drive": CommandEntry(
+        _DRIVES, "Identify the joints' controllers from their commands."
+    ),
+    "replay": CommandEntry(
+        _DRIVES, "Simulate the robot from its commands, against its logs."
     ),
     "trend": CommandEntry(
         _COMPARISON, "Find what changed over dates, beyond its error."

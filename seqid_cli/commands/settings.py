@@ -11,6 +11,7 @@ from seqid_cli.discover.settings import (
     EventSettings,
     EvidenceSettings,
 )
+from seqid_cli.drive.settings import DriveSettings
 from seqid_cli.identify.settings import (
     AgreementSettings,
     CutoffCheckSettings,
@@ -76,6 +77,7 @@ SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
     "simultaneous": SimultaneousSettings(),
     "plan": PlanSettings(),
     "payload": PayloadSettings(),
+    "drive": DriveSettings(),
 }
 
 

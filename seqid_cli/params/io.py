@@ -15,11 +15,13 @@ from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.comparison import ComparisonFile
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.params.results.export import ExportFile
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.results.replay import ReplayFile
 from seqid_cli.params.results.trend import TrendFile
 from seqid_cli.params.schema import OfRobot, ParameterFile, Written
 
@@ -40,6 +42,8 @@ _KINDS: Mapping[str, type[Written]] = {
     "prediction": PredictionFile,
     "diagnosis": DiagnosisFile,
     "payload": PayloadFile,
+    "drive": DriveFile,
+    "replay": ReplayFile,
     "plan": PlanFile,
     "trend": TrendFile,
     "inspection": InspectionFile,
@@ -80,6 +84,12 @@ def read_parameters(path: Path) -> ParameterFile:
     """
     _, content = _read(path, ["params"], _PARAMETER_HINT)
     return cast(ParameterFile, content)
+
+
+def read_drive(path: Path) -> DriveFile:
+    """Read one drive file strictly; raises as `read_parameters` does."""
+    _, content = _read(path, ["drive"], "-p takes the result of seqid drive.")
+    return cast(DriveFile, content)
 
 
 def read_document(path: Path) -> Written:
@@ -210,10 +220,11 @@ def _schema_of(
     if kind not in kinds:
         readable = ", ".join(f"seqid/{kind}" for kind in kinds)
         message = f"is a {kind} file ({name}); what can be read here: {readable}"
-        hint = "Leave it out."
+        remedy = "Leave it out."
         if len(kinds) == 1:
-            hint = f"Give the parameters that the {kind} used."
-        raise ConfigError(message, where=where, hint=hint)
+            is_wanted = "params" in kinds
+            remedy = f"Give the parameters that the {kind} used." if is_wanted else hint
+        raise ConfigError(message, where=where, hint=remedy)
     return _Schema(name=name, kind=kind, version=int(match["version"]))
 
 

@@ -13,9 +13,11 @@ from seqid_cli.params.results.diagnosis import (
     ResidualEntry,
     causes_in_words,
 )
+from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.results.replay import ReplayError, ReplayFile
 from seqid_cli.params.results.trend import ChangeEntry
 from seqid_cli.params.schema import ClosedLoop, RobotId, Verdict
 
@@ -421,6 +423,65 @@ def hidden(effects: Sequence[HiddenEntry]) -> Values:
         Head("hidden from these motions", "effect"),
         Head("joint", "text"),
         Head("visible", "share"),
+    ]
+    return Values(columns, rows)
+
+
+def drive_parameters(file: DriveFile) -> Values:
+    """Return every number of the controllers, and what is to be known of it."""
+    rows = [
+        (
+            name,
+            parameter.name,
+            parameter.value,
+            parameter.std_error,
+            parameter.unit,
+            parameter.state.replace("_", " "),
+            parameter.reason or None,
+        )
+        for name, joint in file.joints.items()
+        for parameter in joint.parameters
+    ]
+    columns = [
+        Head("joint", "text"),
+        Head("parameter", "text"),
+        Head("value", "number4"),
+        Head("std error", "number2"),
+        Head("unit", "text"),
+        Head("state", "text"),
+        Head("why", "text"),
+    ]
+    return Values(columns, rows)
+
+
+def replay_errors(file: ReplayFile) -> Values:
+    """Return the errors of each joint beside those of simpler guesses."""
+
+    def rms(error: ReplayError | None) -> float | None:
+        return None if error is None else error.rms
+
+    rows = [
+        (
+            name,
+            joint.position.rms,
+            joint.position.worst.rms,
+            joint.delayed_command.rms,
+            joint.start_plus_change.rms,
+            rms(joint.without_drive),
+            joint.velocity.rms,
+            rms(joint.torque),
+        )
+        for name, joint in file.joints.items()
+    ]
+    columns = [
+        Head("joint", "text"),
+        Head("position", "number"),
+        Head("worst window", "number"),
+        Head("delayed command", "number"),
+        Head("start + change", "number"),
+        Head("without drive", "number"),
+        Head("velocity", "number"),
+        Head("torque", "number"),
     ]
     return Values(columns, rows)
 

@@ -13,7 +13,14 @@ import msgspec
 
 from seqid_cli.params import bands_schema, evidence_schema, schema
 from seqid_cli.params.base import Document, FrozenStruct, Struct
-from seqid_cli.params.results import diagnosis, inspection, plan, prediction
+from seqid_cli.params.results import (
+    diagnosis,
+    drive,
+    inspection,
+    plan,
+    prediction,
+    replay,
+)
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "reference" / "files.md"
@@ -25,6 +32,8 @@ MODULES = (
     diagnosis,
     inspection,
     plan,
+    drive,
+    replay,
 )
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind

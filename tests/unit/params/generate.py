@@ -11,10 +11,12 @@ import msgspec
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results import (
     diagnosis,
+    drive,
     inspection,
     payload,
     plan,
     prediction,
+    replay,
     trend,
 )
 from seqid_cli.params.schema import SCHEMA, ParameterFile
@@ -30,6 +32,8 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     inspection.INSPECTION_SCHEMA: inspection.InspectionFile,
     plan.PLAN_SCHEMA: plan.PlanFile,
     payload.PAYLOAD_SCHEMA: payload.PayloadFile,
+    drive.DRIVE_SCHEMA: drive.DriveFile,
+    replay.REPLAY_SCHEMA: replay.ReplayFile,
     trend.TREND_SCHEMA: trend.TrendFile,
     ROBOT_SCHEMA: RobotFile,
 }

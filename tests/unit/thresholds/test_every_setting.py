@@ -3,6 +3,7 @@
 from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS
 from tests.unit.thresholds import (
     test_discovery,
+    test_drives,
     test_inspection,
     test_plans,
     test_stages,
@@ -13,6 +14,7 @@ WITNESSES = (
     *test_inspection.WITNESSES,
     *test_discovery.WITNESSES,
     *test_plans.WITNESSES,
+    *test_drives.WITNESSES,
 )
 
 

@@ -1,0 +1,176 @@
+"""The controller's law as linear equations, given its delays.
+
+At time t the torque u that a controller of joint j asks for is
+
+    u(t) = kp (c - q) - kd q' + kv c' + ka c'' + ki S(c - q) + kg g(q) + b,
+
+the command c taken a delay d ago, S the integral over time, g the gravity torque of the
+model, b an offset. The torque's channel is late by a lag l:
+
+    tau(t) = u(t - l) = sum_k theta_k x_k(t; l, d) + e.
+
+Where the model's torque stands for a measured one, l is 0.
+
+Each log has an offset of its own. With an integral each stretch has one in which the
+controller went by this law, for the integral begins anew behind it. Columns and torque
+are freed of their means instead, stretch by stretch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.drive.signals import DriveSignals, delayed_command, shifted
+from seqid_cli.logs.raw import Rows
+from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.typing import Array, Mask
+
+PROPORTIONAL = "proportional"
+DERIVATIVE = "derivative"
+VELOCITY_FEEDFORWARD = "velocity_feedforward"
+ACCELERATION_FEEDFORWARD = "acceleration_feedforward"
+INTEGRAL = "integral"
+GRAVITY = "gravity_compensation"
+# Every part of a controller, in the order of documents.
+PARTS = (
+    PROPORTIONAL,
+    DERIVATIVE,
+    INTEGRAL,
+    VELOCITY_FEEDFORWARD,
+    ACCELERATION_FEEDFORWARD,
+    GRAVITY,
+)
+UNITS = {
+    PROPORTIONAL: "N m/rad",
+    DERIVATIVE: "N m s/rad",
+    INTEGRAL: "N m/(rad s)",
+    VELOCITY_FEEDFORWARD: "N m s/rad",
+    ACCELERATION_FEEDFORWARD: "N m s^2/rad",
+    GRAVITY: "1",
+}
+# The shortest stretch with an offset of its own: of a shorter one nothing is left.
+LEAST_STRETCH_S = 1.0
+# Rows are taken so many times per period of the cut-off: others repeat them.
+ROWS_PER_PERIOD = 6.0
+# A block of rows that counts as independent of the others, for errors.
+BLOCK_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delays:
+    """Delays of one joint [s]."""
+
+    command: float  # d
+    torque: float  # l
+
+    def moved(self, command: float = 0.0, torque: float = 0.0) -> "Delays":
+        """Return delays that are longer by some time [s]."""
+        return Delays(command=self.command + command, torque=self.torque + torque)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equations:
+    """Rows of all logs for one joint, M of them, with p columns."""
+
+    X: Array  # (M, p)
+    y: Array  # (M,) N m
+    blocks: Rows  # (M,) number of the block of each row
+    means: Array  # (p + 1,) of columns and torque, over all rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLaw:
+    """The logs of one joint, and which rows of them count."""
+
+    logs: Sequence[DriveSignals]
+    joint: int
+    course: str  # "held" or "interpolated": what commands do between two stamps
+    used: Sequence[Mask]  # (N,) of each log
+    lawful: Sequence[Mask]  # (N,) of each log, where the controller goes by the law
+
+    def equations(self, names: Sequence[str], delays: Delays) -> Equations:
+        """Write the law as equations for the parts of some names."""
+        parts = []
+        first_block = 0
+        for log, used, lawful in zip(self.logs, self.used, self.lawful, strict=True):
+            columns, y = self.columns(log, names, delays)
+            keep = used & np.isfinite(columns).all(axis=1) & np.isfinite(y)
+            stride = max(1, int(log.rate_hz / (ROWS_PER_PERIOD * log.cutoff_hz)))
+            for stretch in self._stretches(lawful, log.rate_hz, INTEGRAL in names):
+                rows = stretch[keep[stretch]][::stride]
+                if len(rows) <= len(names) + 1:
+                    continue
+                X = columns[rows]
+                target = y[rows]
+                blocks = (rows / (BLOCK_S * log.rate_hz)).astype(np.intp)
+                parts.append((X, target, blocks - blocks[0] + first_block))
+                first_block = int(parts[-1][2][-1]) + 1
+        if not parts:
+            empty = np.zeros((0, len(names)))
+            return Equations(
+                X=empty,
+                y=np.zeros(0),
+                blocks=np.zeros(0, np.intp),
+                means=np.zeros(len(names) + 1),
+            )
+        X_all = np.concatenate([X for X, _, _ in parts])
+        y_all = np.concatenate([y for _, y, _ in parts])
+        return Equations(
+            X=np.concatenate([X - X.mean(axis=0) for X, _, _ in parts]),
+            y=np.concatenate([y - y.mean() for _, y, _ in parts]),
+            blocks=np.concatenate([blocks for _, _, blocks in parts]),
+            means=np.append(X_all.mean(axis=0), y_all.mean()),
+        )
+
+    def columns(
+        self, log: DriveSignals, names: Sequence[str], delays: Delays
+    ) -> tuple[Array, Array]:
+        """Return the columns (N, p) of a log, NaN where there is none, and torque."""
+        j = self.joint
+        lag = delays.torque * log.rate_hz
+        total = lag + delays.command * log.rate_hz
+        command = log.commands[self.course]
+        delayed = delayed_command(log, self.course, j, total / log.rate_hz)
+        error = delayed - shifted(log.q[:, j], lag)
+        columns = {PROPORTIONAL: error}
+        if INTEGRAL in names:
+            summed = np.cumsum(np.where(np.isfinite(error), error, 0.0))
+            columns[INTEGRAL] = (summed - 0.5 * error) / log.rate_hz
+        if DERIVATIVE in names:
+            columns[DERIVATIVE] = -shifted(log.dq[:, j], lag)
+        if VELOCITY_FEEDFORWARD in names:
+            columns[VELOCITY_FEEDFORWARD] = shifted(command.dc[:, j], total)
+        if ACCELERATION_FEEDFORWARD in names:
+            columns[ACCELERATION_FEEDFORWARD] = shifted(command.ddc[:, j], total)
+        if GRAVITY in names:
+            columns[GRAVITY] = shifted(log.gravity[:, j], lag)
+        return np.stack([columns[name] for name in names], axis=1), log.torque[:, j]
+
+    def _stretches(self, lawful: Mask, rate_hz: float, integral: bool) -> list[Rows]:
+        """Return rows that share an offset: of a log, or of a stretch of it."""
+        if not integral:
+            return [np.flatnonzero(lawful)]
+        least = LEAST_STRETCH_S * rate_hz
+        return [
+            np.arange(start, stop)
+            for start, stop in runs(lawful, len(lawful))
+            if stop - start >= least
+        ]
+
+
+def own_shares(X: Array) -> Array:
+    """Return the share (p,) of each column's length that no other column explains."""
+    lengths = np.linalg.norm(X, axis=0)
+    scaled = X / np.where(lengths > 0.0, lengths, 1.0)
+    shares = np.zeros(X.shape[1])
+    for k in range(X.shape[1]):
+        if not lengths[k] > 0.0:
+            continue
+        others = np.delete(scaled, k, axis=1)
+        if not others.shape[1]:
+            shares[k] = 1.0
+            continue
+        fit = np.linalg.lstsq(others, scaled[:, k], rcond=1e-12)[0]
+        shares[k] = np.linalg.norm(scaled[:, k] - others @ fit)
+    return shares

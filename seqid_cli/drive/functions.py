@@ -1,0 +1,120 @@
+"""The function `drive`: logs with commands and a model in, the controllers out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Unpack
+
+from seqid_cli.drive.options import DriveOptions
+from seqid_cli.drive.settings import DriveSettings
+from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.identify.inputs import Inputs, Models, prepare
+from seqid_cli.identify.options import Keywords, documented
+from seqid_cli.logs.given import Logs, PathLike
+from seqid_cli.params.document import present
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.results.drive import DriveFile
+
+if TYPE_CHECKING:
+    from seqid_cli.logs.recording import Recording
+    from seqid_cli.robot.types import Robot
+
+
+@documented(Keywords)
+def drive(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: DriveOptions = DriveOptions(),
+    *,
+    settings: DriveSettings = DriveSettings(),
+    **keywords: Unpack[Keywords],
+) -> DriveFile:
+    """Identify the position controller of each joint from its commands.
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Motions under position control, with `<joint>.command`.
+    parameters : path or ParameterFile, or a sequence of them
+        The model of the arm.
+    """
+    inputs = prepare(logs, robot, parameters, options, **keywords)
+    _check_model(inputs)
+
+    # Imported here because they import numpy: a mistake in the arguments is told first.
+    from seqid_cli.drive.fit import fit_joint
+    from seqid_cli.drive.result import drive_file
+    from seqid_cli.drive.signals import faults_of_command, signals_of
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.model.torque import TorqueModel
+
+    log_set = LogSet.of(inputs, imus=False)
+    recordings = list(log_set)
+    with_commands = logs_with_commands(recordings)
+    model = TorqueModel.from_stages(inputs.stages, inputs.robot)
+    use_torque = not options.no_torque and all(
+        log.tau is not None for log in with_commands
+    )
+    wide, narrow = (
+        [
+            signals_of(
+                log,
+                model,
+                cutoff_hz=options.cutoff_hz,
+                use_torque=use_torque,
+                share=share,
+            )
+            for log in with_commands
+        ]
+        for share in (1.0, 0.5)
+    )
+
+    faults: dict[str, str] = {}
+    fits = {}
+    for j, name in enumerate(inputs.robot.joint_names):
+        fault = faults_of_command(wide, j)
+        fit = None if fault else fit_joint(wide, narrow, j, settings)
+        if fit is not None:
+            fits[name] = fit
+        else:
+            faults[name] = fault or (
+                "too few samples in which it follows its command: record more motion"
+            )
+    file = drive_file(fits, faults, wide, inputs, log_set, settings)
+    if inputs.output is not None:
+        write_json_atomic(inputs.output, file, inputs=inputs.sources)
+    return file
+
+
+def _check_model(inputs: Inputs) -> None:
+    """Raise ConfigError where the parameter files hold no rigid body."""
+    if {"gravity", "inertia"} & present(inputs.stages).keys():
+        return
+    where = ", ".join(name for name, _ in inputs.models)
+    hint = "Give the result of seqid inertia, or of seqid simultaneous."
+    raise ConfigError("holds no rigid body", where=where, hint=hint)
+
+
+def logs_with_commands(recordings: list[Recording]) -> list[Recording]:
+    """Return the logs with commanded positions; raises InputError where none has."""
+    chosen = [log for log in recordings if log.command is not None]
+    if chosen:
+        return chosen
+    first = recordings[0]
+    other = [
+        quantity
+        for quantity, values in (
+            ("velocity", first.command_velocity),
+            ("torque", first.command_torque),
+        )
+        if values is not None
+    ]
+    message = "the log has no commanded position"
+    if other:
+        message += f", but commands of {' and '.join(other)}"
+    raise InputError(
+        message,
+        hint="Log <joint>.command, what the controller is asked for; or name it in the"
+        ' robot file: [channels] command = "...", or command_topic.',
+        where=str(first.path),
+    )

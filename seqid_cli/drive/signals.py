@@ -1,0 +1,312 @@
+"""One log as the fit of a controller sees it: all channels through the same low-pass.
+
+A controller computes its torque from command and position by a linear law, and a
+low-pass of all of them leaves the law as it is. The encoder's noise is no error here:
+the controller has seen the same noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.logs.raw import Rows
+from seqid_cli.logs.recording import CommandForm, Recording
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, shrink
+from seqid_cli.motion.filters.survey import survey_of_positions
+from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.segmentation import moving_mask
+from seqid_cli.typing import Array, Mask
+
+# Samples per period of the cut-off: fewer do not give velocities by differences.
+SAMPLES_PER_PERIOD = 10.0
+
+
+# The cut-off is not higher than this, above which torque is mostly noise.
+HIGHEST_HZ = 25.0
+# Of a joint's travel: no drive follows as closely, so that such a command is an echo.
+ECHO = 1e-5
+# Samples about a place from which values there are interpolated: with fewer a delay
+# would damp what is at the upper end of the band.
+KNOTS = np.arange(-3, 5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """A commanded position as the controller may have taken it, low-passed."""
+
+    c: Array  # (N, n) rad
+    dc: Array  # (N, n) rad/s
+    ddc: Array  # (N, n) rad/s^2
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveSignals:
+    """One log, N samples of n joints on a uniform time base.
+
+    Attributes
+    ----------
+    q, dq : (N, n) arrays
+        rad, rad/s.
+    torque : (N, n) array
+        N m, the measured torque, or what the model computes from the motion.
+    measured : bool
+        Which of the two.
+    gravity : (N, n) array
+        N m, by the model.
+    commands : dict of str to Command
+        By how the controller takes them between two stamps: "held" or "interpolated".
+    sent : (times, values), optional
+        When each command was sent [s], and the commands (K, n), where rows are faster.
+    usable : (N, n) mask
+        Samples with all of it.
+    moving : (N, n) mask
+    command_period_s : float
+        Time between two commands.
+    raw : Recording
+        The log itself.
+    """
+
+    path: Path
+    rate_hz: float
+    cutoff_hz: float
+    q: Array
+    dq: Array
+    torque: Array
+    measured: bool
+    gravity: Array
+    commands: dict[str, Command]
+    sent: tuple[Array, Array] | None
+    usable: Mask
+    moving: Mask
+    command_form: CommandForm
+    command_period_s: float
+    raw: Recording
+
+
+def signals_of(
+    log: Recording,
+    model: TorqueModel,
+    *,
+    cutoff_hz: float | None = None,
+    use_torque: bool = True,
+    share: float = 1.0,
+) -> DriveSignals:
+    """Filter a log.
+
+    Parameters
+    ----------
+    log : Recording
+        With commanded positions.
+    model : TorqueModel
+        The arm.
+    cutoff_hz : float, optional
+        The cut-off; chosen from the log where it is left out.
+    use_torque : bool
+        Whether a measured torque counts.
+    share : float
+        Of the cut-off that is taken, to see what the choice does to a fit.
+    """
+    assert log.command is not None
+    rate_hz = log.rate_hz
+    measured = use_torque and log.tau is not None
+    survey = survey_of_positions(log.q, rate_hz)
+    resolution = encoder_resolution(model.robot)
+    if cutoff_hz is None:
+        cutoff_hz = min(HIGHEST_HZ, rate_hz / SAMPLES_PER_PERIOD)
+        if not measured:
+            # The motion has to give accelerations, which noise limits.
+            cutoff_hz = min(cutoff_hz, survey.cutoff(resolution).hz)
+    lowpass = Lowpass(cutoff_hz * share, rate_hz)
+
+    q = lowpass(log.q, log.valid)
+    dq, ddq = differentiate(q, rate_hz, log.valid)
+    if measured and log.tau is not None:
+        torque = lowpass(log.tau, log.valid)
+    else:
+        friction = lowpass(model.friction(q, dq), log.valid)
+        torque = model.rigid(q, dq, ddq) + friction
+
+    has_command = np.isfinite(log.command)
+    settled = shrink(log.valid, 2 * lowpass.settling)
+    usable = np.stack(
+        [shrink(column, 2 * lowpass.settling) & settled for column in has_command.T],
+        axis=1,
+    )
+    sent = sent_commands(log)
+    return DriveSignals(
+        path=log.path,
+        rate_hz=rate_hz,
+        cutoff_hz=lowpass.cutoff_hz,
+        q=q,
+        dq=dq,
+        torque=torque,
+        measured=measured,
+        gravity=model.rigid(q, np.zeros_like(q), np.zeros_like(q)),
+        commands={
+            name: _filtered(values, lowpass, log.valid)
+            for name, values in _courses(log, sent).items()
+        },
+        sent=sent,
+        usable=usable,
+        moving=moving_mask(log.q, rate_hz, survey.noise_step(resolution)),
+        command_form=log.command_form,
+        command_period_s=(
+            1.0 / rate_hz
+            if sent is None
+            else float(np.quantile(np.diff(sent[0]), 0.25))
+        ),
+        raw=log,
+    )
+
+
+def _filtered(command: Array, lowpass: Lowpass, valid: Mask) -> Command:
+    c = lowpass(_filled(command), valid)
+    dc, ddc = differentiate(c, lowpass.rate_hz, valid)
+    return Command(c=c, dc=dc, ddc=ddc)
+
+
+def _filled(values: Array) -> Array:
+    """Return values (N, n), what is missing as the nearest one that is not."""
+    filled = values.copy()
+    rows = np.arange(len(values), dtype=np.float64)
+    for column in filled.T:
+        present = np.isfinite(column)
+        if not present.any():
+            column[:] = 0.0
+        elif not present.all():
+            column[:] = np.interp(rows, rows[present], column[present])
+    return filled
+
+
+def sent_commands(log: Recording) -> tuple[Array, Array] | None:
+    """Return when commands were sent (K,) [s], and these (K, n).
+
+    None where each row has its own.
+    """
+    if log.command_form == "sampled" or log.command is None:
+        return None
+    rows = _sent_rows(log)
+    if len(rows) < 2:
+        return None
+    return _sent_times(log, rows), _filled(log.command[rows])
+
+
+def _sent_rows(log: Recording) -> Rows:
+    """Return the rows in which a new command is there first."""
+    assert log.command is not None
+    if log.command_age is not None:
+        # A new one is younger than the time since the row before.
+        age = log.command_age
+        fresh = np.isfinite(age) & (age < (1.0 - 1e-6) / log.rate_hz)
+        return np.flatnonzero(fresh)
+    changes = np.diff(log.command, axis=0)
+    return np.flatnonzero((np.nan_to_num(changes) != 0.0).any(axis=1)) + 1
+
+
+def _sent_times(log: Recording, rows: Rows) -> Array:
+    """Return when the commands of some rows were sent, as well as stamps tell [s]."""
+    if log.command_age is not None:
+        return np.asarray(log.t[rows] - log.command_age[rows])
+    return np.asarray(log.t[rows])
+
+
+def _courses(log: Recording, commands: tuple[Array, Array] | None) -> dict[str, Array]:
+    """Return the command (N, n) as it may run between two stamps, by name."""
+    assert log.command is not None
+    if commands is None:
+        name = "interpolated" if log.command_form == "sampled" else "held"
+        return {name: log.command}
+    times, sent = commands
+    lines = np.stack([np.interp(log.t, times, column) for column in sent.T], axis=1)
+    present = np.isfinite(log.command)
+    return {
+        "held": log.command,
+        "interpolated": np.where(present, lines, np.nan),
+    }
+
+
+def command_at(log: DriveSignals, course: str, joint: int, t: Array) -> Array:
+    """Return a joint's command (K,) at some times, as it runs between two stamps."""
+    raw = log.raw
+    assert raw.command is not None
+    if log.sent is not None:
+        times, values = log.sent
+        column = values[:, joint]
+    else:
+        present = np.isfinite(raw.command[:, joint])
+        times = raw.t[present]
+        column = raw.command[present, joint]
+    if course == "held":
+        # A stamp that lies on a row is rounded.
+        latest = np.searchsorted(times, t + 1e-6 / log.rate_hz, side="right") - 1
+        return np.asarray(column[np.maximum(latest, 0)])
+    return np.interp(t, times, column)
+
+
+def delayed_command(
+    log: DriveSignals, course: str, joint: int, delay_s: float
+) -> Array:
+    """Return a joint's command (N,) as it was some time before, low-passed.
+
+    A command that steps is delayed before it is sampled and filtered: rows of the
+    torque see a step when they come, not when it was.
+    """
+    if course != "held":
+        return shifted(log.commands[course].c[:, joint], delay_s * log.rate_hz)
+    sampled = command_at(log, course, joint, log.raw.t - delay_s)
+    lowpass = Lowpass(log.cutoff_hz, log.rate_hz)
+    return lowpass(sampled[:, None], log.raw.valid)[:, 0]
+
+
+def shifted(values: Array, samples: float) -> Array:
+    """Return smooth values (N, ...) as they were some samples before, NaN at the ends.
+
+    Between samples the polynomial through the `KNOTS` nearest is taken.
+    """
+    whole = int(np.floor(samples))
+    # Sample k lies between samples k - whole - 1 and k - whole.
+    place = 1.0 - (samples - whole)
+    n = len(values)
+    out = np.full_like(values, np.nan)
+    first = max(0, whole + 1 - int(KNOTS[0]))
+    stop = min(n, n + whole + 1 - int(KNOTS[-1]))
+    if first >= stop:
+        return out
+    out[first:stop] = 0.0
+    for knot in KNOTS:
+        others = KNOTS[knot != KNOTS]
+        weight = float(np.prod((place - others) / (knot - others)))
+        start = first - whole - 1 + int(knot)
+        out[first:stop] += weight * values[start : start + stop - first]
+    return out
+
+
+def faults_of_command(logs: Sequence[DriveSignals], joint: int) -> str:
+    """Say why a joint's commands show no controller; empty where they may."""
+    commands = [log.raw.command for log in logs]
+    columns = [command[:, joint] for command in commands if command is not None]
+    if not any(np.isfinite(column).any() for column in columns):
+        return "the logs hold no command of it: log <joint>.command"
+    if all(np.ptp(column[np.isfinite(column)]) == 0.0 for column in columns):
+        return "its command never changes: move it"
+    moves = any((log.moving[:, joint] & log.usable[:, joint]).any() for log in logs)
+    if not moves:
+        return "it does not move: move it by its command"
+    differences = [
+        (column - log.raw.q[:, joint])[log.moving[:, joint] & np.isfinite(column)]
+        for log, column in zip(logs, columns, strict=True)
+    ]
+    motion = max(float(np.ptp(log.raw.q[:, joint])) for log in logs)
+    largest = max(
+        float(np.quantile(np.abs(each), 0.99)) for each in differences if len(each)
+    )
+    if largest <= ECHO * motion:
+        return (
+            "its command is the measured position, and no command: log what the"
+            " controller is asked for"
+        )
+    return ""

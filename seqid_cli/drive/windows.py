@@ -1,0 +1,301 @@
+"""A simulated robot against its logs, window by window.
+
+Each window begins with the state that the log has there, so that errors of a window are
+those that its own time makes. A window of a second is long against a loop: what a
+simulator has wrong shows, and does not pile up.
+
+Beside the closed loop stand guesses that need no model. The command at the best delay,
+and the first position with the change of that command since then: where a joint sticks,
+the second one is hard to beat.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.drive.signals import DriveSignals, command_at
+from seqid_cli.drive.simulation import (
+    STEP_S,
+    Asked,
+    ClosedLoop,
+    FrictionTable,
+    Gains,
+)
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.params.results.drive import DriveFile
+from seqid_cli.params.results.replay import ReplayError, ReplayJoint, WorstWindow
+from seqid_cli.typing import Array, Mask
+
+MOST_WINDOWS = 400  # in one run of the simulation: more take memory and save no time
+# Beyond the positions and speeds of the log, as a share of them, to which friction is
+# tabled: a replayed joint overshoots where the real one did not.
+MARGIN = 0.2
+# Steps of the delays that are tried for the trivial guesses, in samples.
+DELAY_STEPS = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """A stretch of a log: rows [start, stop)."""
+
+    log: DriveSignals
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replayed:
+    """What all windows show, (W, R, n) for R rows of a window."""
+
+    windows: Sequence[Window]
+    position: Array  # simulated less measured, rad
+    velocity: Array
+    torque: Array | None  # N m
+    open_position: Array | None  # by the measured torque
+    step_s: float
+
+
+def windows_of(logs: Sequence[DriveSignals], window_s: float) -> list[Window]:
+    """Cut logs into windows in which every joint has everything."""
+    windows = []
+    for log in logs:
+        rows = round(window_s * log.rate_hz)
+        usable: Mask = np.asarray(log.usable.all(axis=1))
+        for start, stop in runs(usable, len(usable)):
+            windows += [
+                Window(log=log, start=first, stop=first + rows)
+                for first in range(start, stop - rows, rows)
+            ]
+    return windows
+
+
+def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
+    """Return the controllers of a drive file in the order of joints."""
+    joints = [file.joints[name] for name in names]
+
+    def column(parameter: str) -> Array:
+        return np.array([joint.value(parameter) for joint in joints])
+
+    limits = [joint.known("torque_limit") for joint in joints]
+    return Gains(
+        proportional=column("proportional"),
+        derivative=column("derivative"),
+        integral=column("integral"),
+        velocity_feedforward=column("velocity_feedforward"),
+        acceleration_feedforward=column("acceleration_feedforward"),
+        gravity=column("gravity_compensation"),
+        offset=np.array([joint.offset for joint in joints]),
+        torque_limit=np.array(
+            [np.inf if limit is None else limit for limit in limits], np.float64
+        ),
+    )
+
+
+def closed_loop(
+    file: DriveFile, model: TorqueModel, logs: Sequence[DriveSignals]
+) -> ClosedLoop:
+    """Build the simulation of an arm with its controllers, for the range of logs."""
+    tables = []
+    for j, surface in enumerate(model.surfaces):
+        q = np.concatenate([log.q[:, j] for log in logs])
+        fastest = max(float(np.abs(log.dq[:, j]).max()) for log in logs)
+        margin = MARGIN * max(float(np.ptp(q)), 1e-3)
+        tables.append(
+            FrictionTable.of(
+                surface,
+                float(q.min()) - margin,
+                float(q.max()) + margin,
+                (1.0 + 2.0 * MARGIN) * max(fastest, 1e-3),
+            )
+        )
+    return ClosedLoop(
+        model=model, gains=gains_of(file, model.robot.joint_names), friction=tables
+    )
+
+
+def replayed(
+    loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]
+) -> list[Replayed]:
+    """Simulate windows and compare them with their logs; one result for each rate."""
+    by_rate: dict[float, list[Window]] = {}
+    for window in windows:
+        by_rate.setdefault(window.log.rate_hz, []).append(window)
+    results = []
+    for of_rate in by_rate.values():
+        for first in range(0, len(of_rate), MOST_WINDOWS):
+            results.append(_run(loop, file, of_rate[first : first + MOST_WINDOWS]))
+    return results
+
+
+def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replayed:
+    """Simulate windows of one rate together."""
+    rate_hz = windows[0].log.rate_hz
+    per_row = max(1, int(np.ceil(1.0 / (rate_hz * STEP_S))))
+    step_s = 1.0 / (rate_hz * per_row)
+    rows = windows[0].stop - windows[0].start
+    q0 = np.stack([window.log.q[window.start] for window in windows])
+    v0 = np.stack([window.log.dq[window.start] for window in windows])
+    first_torque = np.stack([window.log.torque[window.start] for window in windows])
+    steps = (rows - 1) * per_row + 1
+    asked = _asked(file, windows, steps, step_s)
+    simulated = loop.run(q0, v0, first_torque, asked, step_s)
+
+    measured = _rows(windows, "q")
+    speed = _rows(windows, "dq")
+    at_rows = slice(None, None, per_row)
+    torque = None
+    open_position = None
+    if all(window.log.measured for window in windows):
+        taus = _rows(windows, "torque")
+        lagged = _late(file, loop, simulated.torque, step_s)
+        torque = lagged[at_rows] - taus
+        by_steps = _at_steps(windows, steps, step_s, per_row)
+        open_run = loop.run_open(q0, v0, by_steps, step_s)
+        open_position = _whole(open_run.q[at_rows] - measured)
+    return Replayed(
+        windows=windows,
+        position=_whole(simulated.q[at_rows] - measured),
+        velocity=_whole(simulated.dq[at_rows] - speed),
+        torque=None if torque is None else _whole(torque),
+        open_position=open_position,
+        step_s=step_s,
+    )
+
+
+def _whole(errors: Array) -> Array:
+    """Return errors (R, W, n) by window, (W, R, n)."""
+    return np.ascontiguousarray(np.swapaxes(errors, 0, 1))
+
+
+def _rows(windows: Sequence[Window], name: str) -> Array:
+    """Return a channel of the logs in all windows, (R, W, n)."""
+    parts = [getattr(w.log, name)[w.start : w.stop] for w in windows]
+    return np.stack(parts, axis=1)
+
+
+def _asked(
+    file: DriveFile, windows: Sequence[Window], steps: int, step_s: float
+) -> Asked:
+    """Return what the controllers take for their command, delays in it."""
+    shape = (steps, len(windows), windows[0].log.q.shape[1])
+    c = np.zeros(shape)
+    dc = np.zeros(shape)
+    ddc = np.zeros(shape)
+    names = list(file.robot.joints)
+    for w, window in enumerate(windows):
+        log = window.log
+        t = log.raw.t[window.start] + np.arange(steps) * step_s
+        for j, name in enumerate(names):
+            joint = file.joints[name]
+            at = t - joint.value("command_delay")
+            c[:, w, j] = command_at(log, joint.command, j, at)
+            if joint.value("velocity_feedforward"):
+                smooth = log.commands[joint.command]
+                dc[:, w, j] = np.interp(at, log.raw.t, smooth.dc[:, j])
+            if joint.value("acceleration_feedforward"):
+                smooth = log.commands[joint.command]
+                ddc[:, w, j] = np.interp(at, log.raw.t, smooth.ddc[:, j])
+    return Asked(c=c, dc=dc, ddc=ddc)
+
+
+def _late(file: DriveFile, loop: ClosedLoop, torque: Array, step_s: float) -> Array:
+    """Return torques (T, B, n) as the log has them, late by each joint's lag."""
+    late = torque.copy()
+    for j, name in enumerate(loop.model.robot.joint_names):
+        steps = round(file.joints[name].value("torque_lag") / step_s)
+        if steps > 0:
+            late[steps:, :, j] = torque[:-steps, :, j]
+            late[:steps, :, j] = torque[:1, :, j]
+    return late
+
+
+def _at_steps(
+    windows: Sequence[Window], steps: int, step_s: float, per_row: int
+) -> Array:
+    """Return the measured torque between rows, (T, B, n)."""
+    taus = _rows(windows, "torque")
+    at = np.arange(steps) / per_row
+    whole = np.minimum(at.astype(np.intp), len(taus) - 2)
+    part = (at - whole)[:, None, None]
+    return np.asarray(taus[whole] * (1.0 - part) + taus[whole + 1] * part)
+
+
+def joints_of(
+    file: DriveFile, results: Sequence[Replayed]
+) -> Mapping[str, ReplayJoint]:
+    """Return the errors of each joint beside those of trivial guesses."""
+    joints = {}
+    windows = [window for result in results for window in result.windows]
+    for j, name in enumerate(file.robot.joints):
+        delay, delayed, changed = _guesses(file, windows, j)
+        torque = None
+        if all(result.torque is not None for result in results):
+            torque = _error(
+                windows,
+                [
+                    each[:, j]
+                    for r in results
+                    if r.torque is not None
+                    for each in r.torque
+                ],
+            )
+        without = None
+        if all(result.open_position is not None for result in results):
+            opened = [r.open_position for r in results if r.open_position is not None]
+            without = _error(windows, [each[:, j] for one in opened for each in one])
+        joints[name] = ReplayJoint(
+            position=_error(
+                windows, [each[:, j] for r in results for each in r.position]
+            ),
+            velocity=_error(
+                windows, [each[:, j] for r in results for each in r.velocity]
+            ),
+            torque=torque,
+            delayed_command=_error(windows, delayed),
+            start_plus_change=_error(windows, changed),
+            without_drive=without,
+            baseline_delay_s=delay,
+        )
+    return joints
+
+
+def _error(windows: Sequence[Window], errors: Sequence[Array]) -> ReplayError:
+    """Return the RMS over all windows, and the worst of them."""
+    squares = np.array([float(np.mean(each**2)) for each in errors])
+    worst = int(np.argmax(squares))
+    window = windows[worst]
+    return ReplayError(
+        rms=float(np.sqrt(squares.mean())),
+        worst=WorstWindow(
+            log=str(window.log.path),
+            start=float(window.log.raw.t[window.start]),
+            rms=float(np.sqrt(squares[worst])),
+        ),
+    )
+
+
+def _guesses(
+    file: DriveFile, windows: Sequence[Window], joint: int
+) -> tuple[float, list[Array], list[Array]]:
+    """Return the best delay of the command, and the errors of both guesses with it."""
+    course = file.joints[file.robot.joints[joint]].command
+
+    def at(delay_s: float) -> tuple[list[Array], list[Array]]:
+        delayed = []
+        changed = []
+        for window in windows:
+            q = window.log.q[window.start : window.stop, joint]
+            t = window.log.raw.t[window.start : window.stop]
+            command = command_at(window.log, course, joint, t - delay_s)
+            delayed.append(command - q)
+            changed.append(q[0] + command - command[0] - q)
+        return delayed, changed
+
+    period_s = 1.0 / windows[0].log.rate_hz
+    delays = np.arange(0.0, 0.5, DELAY_STEPS * period_s)
+    costs = [float(np.mean(np.concatenate(at(delay)[1]) ** 2)) for delay in delays]
+    best = float(delays[int(np.argmin(costs))])
+    delayed, changed = at(best)
+    return best, delayed, changed

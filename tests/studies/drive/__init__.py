@@ -1,0 +1,1 @@
+"""Studies of the drives behind the torques."""

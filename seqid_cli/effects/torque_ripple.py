@@ -239,9 +239,10 @@ RESOLVED = 0.4  # of the sampling rate, up to which waves are told apart
 # Of the best gain, from which a whole number is taken.
 WHOLE = 0.98
 WHOLE_IF_SPARSE = 0.9
-# Fine waves that a joint must go through, and that its range must have: lines are
-# looked for by the hundred.
+# Fine waves that a joint must go through: lines are looked for by the hundred.
 FEWEST_WAVES = 20.0
+# Waves in its range, below which a ripple must be clear: a few of them follow many a
+# function of the position.
 FEWEST_IN_RANGE = 10.0
 LEAST_TRAVEL = 0.1  # rad: with less a joint is only shaken
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
@@ -296,7 +297,9 @@ class TorqueRipple(Effect):
 
         # The spectrum over position does not reach these where logs are fast.
         for order in USUAL:
-            if order * gear >= FINE and is_gone_through(order * gear):
+            cycles = order * gear
+            is_fine = cycles >= FINE and not has_few(scenes, joint, cycles)
+            if is_fine and is_gone_through(cycles):
                 yield {"order": order, "law": 0.0, "lag": 0.0}
 
         for law, lag, profile in _profiles(scenes, joint, residual):
@@ -310,6 +313,8 @@ class TorqueRipple(Effect):
             for order in dict.fromkeys(orders):
                 cycles = order * gear
                 is_clear = order == round(order) or cycles >= fine_from
+                if cycles >= FINE and has_few(scenes, joint, cycles):
+                    is_clear = False
                 if not is_clear and few_waves_count:
                     is_clear = clearness(profile, lowest, cycles) > CLEAR
                 is_turned = lag == 0.0 or cycles * lag * speed > TURNED
@@ -431,11 +436,20 @@ def highest_order(scenes: Scenes, joint: int) -> float:
     return min(limits)
 
 
+def has_few(scenes: Scenes, joint: int, cycles: float) -> bool:
+    """Return whether few waves, of so many per turn, are in the range of a joint.
+
+    A slide has no turn: what is fine is counted in its range as it is.
+    """
+    if _slides(scenes[0], joint):
+        return False
+    return cycles * travel(scenes, joint) / (2 * np.pi) < FEWEST_IN_RANGE
+
+
 def goes_through(scenes: Scenes, joint: int, cycles: float, highest_hz: float) -> bool:
     """Return whether a joint goes through enough fine waves at speeds that show them.
 
-    They must be many in its range as well: of a joint that is only shaken a few of them
-    follow any function of the position. Of few waves per turn it is their clearness
+    A joint that is only shaken does not. Of few waves per turn it is their clearness
     that counts.
 
     Parameters
@@ -449,9 +463,7 @@ def goes_through(scenes: Scenes, joint: int, cycles: float, highest_hz: float) -
     """
     if cycles < FINE or _slides(scenes[0], joint):
         return True
-    travelled = travel(scenes, joint)
-    has_few = cycles * travelled / (2 * np.pi) < FEWEST_IN_RANGE
-    if has_few or travelled < LEAST_TRAVEL:
+    if travel(scenes, joint) < LEAST_TRAVEL:
         return False
 
     total = 0.0

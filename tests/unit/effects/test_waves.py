@@ -113,6 +113,27 @@ def test_a_joint_that_hardly_moves_goes_through_too_few_waves() -> None:
     assert not effect.shows(far, 0, {**fine, "order": 3e5 / GEAR[0]})  # too fast
 
 
+def test_few_waves_in_the_range_are_a_ripple_where_they_are_clear() -> None:
+    """Of 21 waves per turn of the joint six are in its range, none per motor turn."""
+    order = 21.0 / GEAR[1]
+    settings = {"order": order, "law": 0.0, "lag": 0.0}
+    scene = scene_of(wander(60.0, amplitude=0.5))
+    q = scene.motion.q[:, 1]
+    assert 3.0 < 21.0 * np.ptp(q) / (2.0 * np.pi) < 10.0
+    ripple = TorqueRipple().columns(scene, 1, settings)[1] @ np.array([SIN, COS])
+
+    def found(size: float) -> list[float]:
+        noise = np.random.default_rng(4).normal(size=scene.motion.q.shape)
+        residual = 0.3 * noise
+        residual[:, 1] += size * ripple
+        grid = TorqueRipple().grid([scene], 1, [residual])
+        orders = [each["order"] for each in grid if each["law"] == 0.0]
+        return [each for each in orders if abs(each / order - 1.0) < 0.05]
+
+    assert found(1.0)
+    assert not found(0.0)
+
+
 def test_friction_over_the_position_is_held_where_no_log_was() -> None:
     effect = CATALOGUE["position_dependent_friction"]
     scene = scene_of(wander(12.0, amplitude=0.5))

@@ -80,7 +80,9 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
     slopes = []
     for scene in scenes:
         motion = scene.motion
-        slope, _ = differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)
+        # Of the torque as it is logged: it may be many samples late already.
+        logged = scene.model.late(scene.modelled_filtered, motion)
+        slope, _ = differentiate(logged, motion.rate_hz, motion.valid)
         slopes.append(slope)
 
     nuisances = []

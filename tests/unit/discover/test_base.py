@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.base import LIKELY, base_of
+from seqid_cli.discover.nuisances import nuisances_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.params.schema import FrictionStage, Stages
@@ -92,3 +93,25 @@ def test_a_drag_beyond_the_trials_is_bounded_by_what_it_adds_there(
     )
     usual = np.sqrt(np.mean(torque[torque > 0.0] ** 2))
     assert usual == pytest.approx(LIKELY * base.start[0], rel=0.01)
+
+
+def test_a_delay_changes_the_torque_as_it_is_logged(scenes: list[Scene]) -> None:
+    """Torque 23 ms early: a millisecond more is the slope of the torque where it is."""
+    joint = 0
+    early = np.zeros(scenes[0].robot.n)
+    early[joint] = -0.023
+    earlier = early.copy()
+    earlier[joint] -= 0.001
+    (scene, *_) = scenes
+    delayed = replace(scene, model=replace(scene.model, delays_s=early))
+    further = replace(scene.model, delays_s=earlier)
+
+    (of_joint, *_) = nuisances_of([delayed], Stages())
+    torque = scene.modelled_filtered
+    change = further.late(torque, scene.motion) - delayed.model.late(
+        torque, scene.motion
+    )
+    expected = change[100:-100, joint]
+    (column,) = of_joint.columns[joint]
+    error = -0.001 * column[100:-100] - expected
+    assert np.std(error) < 0.05 * np.std(expected)

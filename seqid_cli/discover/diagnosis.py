@@ -246,7 +246,7 @@ def _nameless_by_joint(
 def _name_of(investigation: Investigation, result: TermResult) -> NameConfidence:
     """Return how sure an effect is, beside what the finished model leaves."""
     joints = joints_below(result.term.channels, investigation.ground.n)
-    floor = np.maximum(investigation.floor.rms[joints], 1e-12)
+    floor = np.maximum(expected(investigation)[joints], 1e-12)
     floors_left = investigation.model.rms()[joints] / floor
     return named(result, float(np.max(floors_left, initial=1.0)))
 

@@ -23,6 +23,7 @@ from scipy.special import expit, logit
 
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermResult
+from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.typing import Array
 
 BEHIND = -float(logit(Options.alpha))  # log odds against a rival that is not told
@@ -77,7 +78,9 @@ def steadiness(varied: float, share: float, floors_left: float) -> float:
     """Return the probability that a term is no error of another law.
 
     An effect always has the same size. Odds are even where its size varies, and as much
-    as there was without it is left above the floor.
+    as there was without it is left above the floor. They are so whatever its size does,
+    where as much is left above what a right model may leave: what is not understood may
+    be what the term is a part of, and its share in that is steady as well.
 
     Parameters
     ----------
@@ -89,8 +92,12 @@ def steadiness(varied: float, share: float, floors_left: float) -> float:
         RMS that the model leaves, in noise floors.
     """
     share_left = np.sqrt(1.0 - np.clip(share, 0.0, 1.0))
-    share_above_floor = share_left * (1.0 - 1.0 / max(floors_left, 1.0))
-    return float(1.0 - 0.5 * expit(varied) * share_above_floor)
+
+    def share_above(floors: float) -> float:
+        return float(share_left * (1.0 - floors / max(floors_left, floors)))
+
+    doubt = max(expit(varied) * share_above(1.0), share_above(MORE_THAN_NOISE))
+    return float(1.0 - 0.5 * doubt)
 
 
 def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:

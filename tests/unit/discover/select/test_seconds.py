@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.naming import named
+from seqid_cli.discover.select.naming import named, steadiness
 from seqid_cli.discover.select.seconds import share_not_understood
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
@@ -91,3 +91,18 @@ def test_an_effect_beside_more_that_is_not_understood_is_less_sure() -> None:
     (alone,) = selected(scenes, EFFECTS[:1], stages=file_of(scenes[0])).terms
     beside_more = replace(alone, not_understood=0.8)
     assert named(beside_more).confidence == pytest.approx(0.6 * named(alone).confidence)
+
+
+def test_a_steady_effect_is_less_sure_beside_much_that_is_left() -> None:
+    """A lag took 63 % of what a play had left, in every block alike."""
+    steady = -1e3
+    assert steadiness(steady, 0.63, 1.0) == 1.0
+    assert steadiness(steady, 0.63, 2.5) == 1.0  # a right model may leave as much
+    assert 0.7 < steadiness(steady, 0.63, 11.0) < 0.8
+    assert steadiness(steady, 0.99, 11.0) > 0.96  # it explains what there was
+
+
+def test_what_varies_is_not_doubted_twice() -> None:
+    varies = 1e3
+    left = np.sqrt(1.0 - 0.63) * (1.0 - 1.0 / 11.0)
+    assert steadiness(varies, 0.63, 11.0) == pytest.approx(1.0 - 0.5 * left)

@@ -18,6 +18,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests import ROOT
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
+from tests.unit.logs.samples import make_robot
 
 WAVES = pytest.param("validation/fourier_1", marks=pytest.mark.slow)
 
@@ -122,3 +123,15 @@ def test_logs_serve_friction_together(third: InspectedLog, served: list[str]) ->
         f"{served[0]} gravity".strip(),
         *served[1:],
     ]
+
+
+def test_an_arm_without_dynamics_is_inspected_too(tmp_path: Path) -> None:
+    """No torque of it depends on a position, so that no zero can be told."""
+    t = np.arange(0.0, 6.0, 0.01)
+    waves = {f"{name}.position": np.sin(t + k) for k, name in enumerate("ab")}
+    waves |= {f"{name}.torque": np.cos(t + k) for k, name in enumerate("ab")}
+    write_columns(tmp_path / "log.parquet", {"t": t} | waves)
+    robot = make_robot(("a", "b"))
+    codes = {f.code for f in inspect_log(tmp_path / "log.parquet", robot).findings}
+    assert "unreadable" not in codes
+    assert "position_zero" not in codes

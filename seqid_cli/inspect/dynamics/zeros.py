@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.inspect.dynamics.friction import Sample
-from seqid_cli.inspect.dynamics.structure import structural_residual
+from seqid_cli.inspect.dynamics.structure import structural_error, structural_residual
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.scales import Factor
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -29,6 +29,7 @@ def zero_findings(
     rows: int = 250,
     max_error: float = 0.1,
     min_shift: float = 0.05,
+    max_left: float = 0.05,
 ) -> Iterator[InspectionFinding]:
     """Find the joint whose zero the equations contradict most.
 
@@ -42,10 +43,13 @@ def zero_findings(
         Standard error [rad] from which on a shift is not known.
     min_shift : float
         Shift [rad] that matters.
+    max_left : float
+        Share of the torque's RMS that the equations leave at most.
     """
     robot = sample.robot
     joints = [j for j in sample.moving if not robot.joints[j].prismatic]
-    if not joints:
+    # Without gravity, or where the equations leave much, a zero shows in nothing.
+    if not joints or not robot.gravity.any() or structural_error(sample) > max_left:
         return
     shifts = _shifts(sample.thinned(rows), joints)
     known = {j: s for j, s in shifts.items() if s.std_error < max_error}
@@ -54,7 +58,8 @@ def zero_findings(
         for j, s in known.items()
         if abs(s.value) > max(CLEAR * s.std_error, min_shift)
     }
-    if not off:
+    # Zeros that all seem off are those of another arm.
+    if len(off) != 1:
         return
     worst = max(off, key=lambda j: off[j])
     found = Factor(value=-known[worst].value, std_error=known[worst].std_error)
@@ -92,9 +97,10 @@ def _shifts(
             slopes.append((left(direction) - left(-direction)) / (2.0 * slope))
         J = np.array(slopes).T
         information = J.T @ J
-        if not information.any():
-            return {}  # no torque depends on any zero, as of an arm across gravity
-        size = float(np.trace(information)) * np.eye(len(joints))
+        trace = float(np.trace(information))
+        if trace < 1e-12:  # no torque depends on any zero
+            return {}
+        size = trace * np.eye(len(joints))
         # Steps along what is hardly determined would go nowhere.
         step = -np.linalg.solve(information + 1e3 * ridge * size, J.T @ r)
         step = np.clip(step, -largest_step, largest_step)

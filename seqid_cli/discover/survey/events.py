@@ -407,7 +407,7 @@ def standing_out(
     for number, track in enumerate(tracks):
         in_log = places(number, scored, settings)
         for stretch in stretches[number]:
-            whole = sharpened(stretch, track.residual, track.t, usual)
+            whole = sharpened(stretch, track.residual, track.t, usual[number])
             in_log = _with_stretch(in_log, whole, number, scored)
         events_by_log.append(in_log)
     return events_by_log
@@ -436,19 +436,20 @@ def stretches_of(
     return _long_stretches(tracks, _usual_squares(tracks), settings)
 
 
-def _usual_squares(tracks: Sequence[Track]) -> Array:
-    """Return the usual mean squares (n,) of the residual."""
+def _usual_squares(tracks: Sequence[Track]) -> list[Array]:
+    """Return by log the usual mean squares (n,) of the residual."""
     return usual_squares(
         [track.residual for track in tracks], [track.t for track in tracks]
     )
 
 
 def _long_stretches(
-    tracks: Sequence[Track], usual: Array, settings: EventSettings
+    tracks: Sequence[Track], usual: Sequence[Array], settings: EventSettings
 ) -> list[list[Stretch]]:
     """Return by log the stretches in which far more is left than is usual (n,)."""
     return [
-        long_stretches(track.residual, track.t, usual, settings) for track in tracks
+        long_stretches(track.residual, track.t, of_log, settings)
+        for track, of_log in zip(tracks, usual, strict=True)
     ]
 
 

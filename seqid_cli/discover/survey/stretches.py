@@ -5,8 +5,8 @@ widens every robust size, and terms follow it. Stretches that may be one are lef
 before anything is fitted, and are no measure of others. Whether they are pushes is
 decided afterwards, by what a model leaves of them that has not seen them.
 
-With e the mean square of a joint's residual, in units of its median over all moments,
-each moment scores
+With e the mean square of a joint's residual, in units of its median over the moments
+beside stretches, each moment scores
 
     s = log(max_j e_j / c),  between -1 and 1.
 
@@ -42,8 +42,11 @@ class Stretch(NamedTuple):
     end: float
 
 
-def usual_squares(residuals: Sequence[Array], times: Sequence[Array]) -> Array:
-    """Return the median (n,) over moments of the mean square of each joint's residual.
+def usual_squares(residuals: Sequence[Array], times: Sequence[Array]) -> list[Array]:
+    """Return by log what mean square of each joint's residual is usual there.
+
+    It is the median over moments of all logs, or of the log alone where that is more:
+    one log may be noisier than another.
 
     Parameters
     ----------
@@ -54,18 +57,58 @@ def usual_squares(residuals: Sequence[Array], times: Sequence[Array]) -> Array:
 
     Returns
     -------
-    (n,) array
+    list of (n,) arrays
         Infinite where no moment tells anything of a joint.
     """
-    squares = np.concatenate(
-        [_moments(residual**2, t) for residual, t in zip(residuals, times, strict=True)]
-    )
-    usual = np.full(squares.shape[1], np.inf)
+    by_log = [
+        _moments(residual**2, t) for residual, t in zip(residuals, times, strict=True)
+    ]
+    of_all = _usual(by_log)
+    return [np.maximum(of_all, _usual([squares])) for squares in by_log]
+
+
+def _usual(by_log: Sequence[Array]) -> Array:
+    """Return the median (n,) of mean squares (moments, n) beside stretches.
+
+    Of logs that are pushed for half of their time the median over all moments would be
+    that of the pushes. So the least of all moments is taken for usual first, and then
+    what is left beside the stretches, until no more comes back in.
+    """
+    of_all = _quantiles(by_log, 0.5)
+    usual = _quantiles(by_log, 0.5 * (1.0 - MOST_OF_LOG))
+    while True:
+        beside = [_beside_stretches(squares, usual) for squares in by_log]
+        if _count(beside) < (1.0 - MOST_OF_LOG) * _count(by_log):
+            return of_all
+        median = _quantiles(beside, 0.5)
+        raised = np.maximum(usual, np.where(np.isfinite(median), median, of_all))
+        if np.array_equal(raised, usual):
+            return usual
+        usual = raised
+
+
+def _quantiles(by_log: Sequence[Array], share: float) -> Array:
+    """Return a quantile (n,) of mean squares (moments, n) by log; infinite of none."""
+    squares = np.concatenate(by_log)
+    found = np.full(squares.shape[1], np.inf)
     for joint, of_joint in enumerate(squares.T):
-        known = of_joint[np.isfinite(of_joint)]
-        if len(known) and np.median(known) > 0.0:
-            usual[joint] = np.median(known)
-    return usual
+        known = of_joint[of_joint > 0.0]
+        if len(known):
+            found[joint] = np.quantile(known, share)
+    return found
+
+
+def _beside_stretches(squares: Array, usual: Array) -> Array:
+    """Return mean squares (moments, n) of a log, NaN in what may be stretches."""
+    beside = squares.copy()
+    for start, stop in _long_ranges(_scores(squares, usual)):
+        beside[start:stop] = np.nan
+    return beside
+
+
+def _count(by_log: Sequence[Array]) -> int:
+    """Return how many moments tell anything of a joint."""
+    return sum(int(np.isfinite(squares).any(axis=1).sum()) for squares in by_log)
 
 
 def long_stretches(
@@ -96,12 +139,7 @@ def long_stretches(
     if len(known) == 0:
         return []
 
-    fewest = SHORTEST_S / MOMENT_S
-    ranges = [
-        (start, stop)
-        for start, stop in _maximal(scores)
-        if scores[start:stop].sum() >= fewest
-    ]
+    ranges = _long_ranges(scores)
     log_s = MOMENT_S * (known[-1] - known[0] + 1)
     most_s = min(settings.longest, MOST_OF_LOG * log_s)
     for start, stop in ranges:
@@ -196,6 +234,16 @@ def _scores(squares: Array, usual: Array) -> Array:
     relative = np.max(known / usual, axis=1) / STANDS_OUT**2
     scores = np.clip(np.log(np.maximum(relative, 1e-12)), -1.0, 1.0)
     return np.where(np.isfinite(squares).any(axis=1), scores, 0.0)
+
+
+def _long_ranges(scores: Array) -> list[tuple[int, int]]:
+    """Return those of the maximal scoring subsequences that widen robust sizes."""
+    fewest = SHORTEST_S / MOMENT_S
+    return [
+        (start, stop)
+        for start, stop in _maximal(scores)
+        if scores[start:stop].sum() >= fewest
+    ]
 
 
 def _maximal(scores: Array) -> list[tuple[int, int]]:

@@ -34,7 +34,7 @@ def pushed(start: float, end: float, height: float, seed: int = 0) -> Array:
 
 
 def stretches(residual: Array) -> list[Stretch]:
-    usual = usual_squares([residual], [T])
+    (usual,) = usual_squares([residual], [T])
     return [
         sharpened(stretch, residual, T, usual)
         for stretch in long_stretches(residual, T, usual, SETTINGS)
@@ -49,6 +49,26 @@ def test_a_stretch_is_found_with_its_edges(seconds: float, height: float) -> Non
         (found,) = stretches(pushed(start, start + seconds, height, seed))
         assert abs(found.start - start) < 0.2
         assert abs(found.end - start - seconds) < 0.2
+
+
+@pytest.mark.parametrize("height", [12.0, 60.0])
+def test_logs_may_be_pushed_for_more_than_half_of_their_time(height: float) -> None:
+    """What is usual is what is left beside the pushes."""
+    is_log = T < 34.0
+    logs = [pushed(7.0, 26.0, height, seed)[is_log] for seed in range(2)]
+    usual = usual_squares(logs, [T[is_log]] * 2)
+    for residual, of_log in zip(logs, usual, strict=True):
+        (found,) = long_stretches(residual, T[is_log], of_log, SETTINGS)
+        assert found == pytest.approx((7.0, 26.0), abs=0.4)
+
+
+def test_a_log_may_be_noisier_than_another() -> None:
+    logs = [0.1 * noise(1), pushed(7.0, 12.0, 60.0)]
+    quiet, noisy = usual_squares(logs, [T, T])
+    assert np.all(noisy > 50.0 * quiet)
+    assert long_stretches(logs[0], T, quiet, SETTINGS) == []
+    (found,) = long_stretches(logs[1], T, noisy, SETTINGS)
+    assert found == pytest.approx((7.0, 12.0), abs=0.4)
 
 
 def test_noise_has_no_stretch() -> None:
@@ -78,6 +98,6 @@ def test_what_comes_often_is_no_stretch() -> None:
 def test_a_joint_of_which_nothing_counts_has_no_usual_square() -> None:
     residual = noise()
     residual[:, 1] = np.nan
-    usual = usual_squares([residual], [T])
+    (usual,) = usual_squares([residual], [T])
     assert np.isinf(usual[1])
     assert stretches(residual) == []

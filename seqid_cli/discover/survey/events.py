@@ -408,7 +408,8 @@ def standing_out(
         in_log = places(number, scored, settings)
         for stretch in stretches[number]:
             whole = sharpened(stretch, track.residual, track.t, usual[number])
-            in_log = _with_stretch(in_log, whole, number, scored)
+            joints = _joints_of(whole, track, usual[number])
+            in_log = _with_stretch(in_log, whole, joints, number, scored)
         events_by_log.append(in_log)
     return events_by_log
 
@@ -453,9 +454,23 @@ def _long_stretches(
     ]
 
 
+def _joints_of(stretch: Stretch, track: Track, usual: Array) -> set[int]:
+    """Return the joints at which about as much of a stretch is left as at any.
+
+    Joints may slide in turn while the arm is pushed, for less time than a window needs.
+    """
+    inside = (track.t >= stretch.start) & (track.t <= stretch.end)
+    squares = track.residual[inside] ** 2
+    counts = np.isfinite(squares)
+    sums = np.sum(np.where(counts, squares, 0.0), axis=0)
+    size = np.sqrt(sums / np.maximum(counts.sum(axis=0), 1) / usual)
+    return set(np.flatnonzero(size > 0.5 * np.max(size)).tolist())
+
+
 def _with_stretch(
     events: Sequence[Interval],
     stretch: Stretch,
+    joints: set[int],
     number: int,
     scored: Sequence[tuple[Windows, Array]],
 ) -> list[Interval]:
@@ -467,6 +482,8 @@ def _with_stretch(
         Of one data set.
     stretch : Stretch
         Where far more is left than elsewhere.
+    joints : set of int
+        Joints at which it is.
     number : int
         Of the data set.
     scored : sequence of (Windows, (W, n) array)
@@ -492,7 +509,7 @@ def _with_stretch(
         scene=number,
         start=stretch.start,
         end=stretch.end,
-        joints=tuple(sorted({joint for event in inside for joint in event.joints})),
+        joints=tuple(sorted(joints.union(*(event.joints for event in inside)))),
         score=max(event.score for event in inside),
     )
     others = [event for event in events if event not in inside]

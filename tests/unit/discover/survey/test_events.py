@@ -114,6 +114,20 @@ def test_a_push_of_seconds_is_one_event_with_its_edges(
         assert abs(event.end - start - length) < 0.3
 
 
+def test_a_joint_that_slides_for_moments_only_is_one_of_a_push(
+    many_rows: list[Rows],
+) -> None:
+    """None of its windows tells anything, but what is left of it does."""
+    masks = []
+    for number, scene in enumerate(many_rows[0].scenes):
+        t = scene.motion.t - scene.motion.t[0]
+        rests = (number == 1) & (t > 5.0) & (t < 9.0) & (t % 0.3 > 0.06)
+        masks.append(np.outer(rests, [True, False]))
+    rows = many_rows[0].without(masks)
+    (event,) = found(rows, 700, push(1, 6.0, 2.0, 20.0, [0, 1]))
+    assert event.joints == (0, 1)
+
+
 def impacts(scene: Scene) -> Array:
     load = np.sign(scene.load[:, 1])
     x = np.zeros(scene.samples)

@@ -36,6 +36,7 @@ from seqid_cli.drive.equations import (
 )
 from seqid_cli.drive.settings import DriveSettings, TermSettings
 from seqid_cli.drive.signals import DriveSignals, command_at, shifted
+from seqid_cli.inspect.channels.commands import FOLLOWED, lag_between
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
@@ -146,6 +147,14 @@ class _Solution:
     delays: Delays
     theta: Array  # (p,)
     squares: float  # (N m)^2, left over
+
+    def opposes(self, names: Sequence[str]) -> bool:
+        """Tell whether the law drives errors back and takes energy away.
+
+        At a wrong delay the opposite may explain a torque as well.
+        """
+        gains = dict(zip(names, self.theta.tolist(), strict=True))
+        return bool(gains[PROPORTIONAL] > 0.0 and gains.get(DERIVATIVE, 0.0) >= 0.0)
 
 
 def fit_joint(
@@ -320,15 +329,42 @@ def _search(law: JointLaw, names: Sequence[str]) -> _Solution | None:
         lags = lags[:1]
     lowest = -law.logs[0].command_period_s
     best: _Solution | None = None
+    best_opposes = False
     for lag in lags:
-        for delay in np.arange(lowest, MAX_DELAY_S, GRID_S):
+        for delay in np.arange(lowest, _longest_delay(law), GRID_S):
             delays = Delays(command=float(delay), torque=float(lag))
             solution = _solved(law, names, delays)
             if solution is None:
                 continue
-            if best is None or solution.squares < best.squares:
+            opposes = solution.opposes(names)
+            is_better = best is None or solution.squares < best.squares
+            if (opposes and not best_opposes) or (
+                opposes == best_opposes and is_better
+            ):
                 best = solution
+                best_opposes = opposes
     return None if best is None else _refined(law, names, best.delays)
+
+
+def _longest_delay(law: JointLaw) -> float:
+    """Return the longest delay that commands may have [s].
+
+    A loop lags behind what it is given, so that the command is no later than the
+    position lags behind it.
+    """
+    lags = []
+    for log in law.logs:
+        assert log.raw.command is not None
+        lag = lag_between(
+            log.raw.command[:, law.joint],
+            log.q[:, law.joint],
+            log.usable[:, law.joint],
+            log.rate_hz,
+        )
+        if lag is not None and lag.left < FOLLOWED:
+            lags.append(lag.seconds + law.logs[0].command_period_s)
+    longest = max(lags, default=MAX_DELAY_S)
+    return min(max(longest, 2.0 * GRID_S), MAX_DELAY_S)
 
 
 def _refined(law: JointLaw, names: Sequence[str], start: Delays) -> _Solution:
@@ -354,8 +390,12 @@ def _refined(law: JointLaw, names: Sequence[str], start: Delays) -> _Solution:
             worst = np.inf if solution is None else solution.squares
             return float(worst * (1.0 + beyond / scale_s))
         solution = _solved(law, names, delays)
-        return np.inf if solution is None else solution.squares
+        if solution is None or (start_opposes and not solution.opposes(names)):
+            return np.inf
+        return solution.squares
 
+    first = _solved(law, names, start)
+    start_opposes = first is not None and first.opposes(names)
     x0 = np.array([start.command, start.torque]) / scale_s
     if not measured:
         x0 = x0[:1]

@@ -30,6 +30,7 @@ STEP_S = 1e-3  # at most; half of it moves a replayed position by less than 1e-4
 SWEEPS = 8  # over the joints, for friction; one joint is solved by the first
 # Widths of the sign over which friction changes sides: beyond them it is whole.
 FULL_WIDTHS = 5.0
+FASTEST = 1e3  # rad/s, that no joint reaches
 POSITIONS = 33  # of the friction tables
 SPEEDS = 65
 
@@ -222,6 +223,8 @@ class ClosedLoop:
                 speed = w[:, j] - np.einsum("bk,bk->b", inverse[:, j], f)
                 f[:, j] = np.clip(f[:, j] + speed / inverse[:, j, j], low, high)
         v_next = w - np.einsum("bij,bj->bi", inverse, f)
+        # A loop that is not stable stays a number, and far off.
+        v_next = np.clip(np.nan_to_num(v_next), -FASTEST, FASTEST)
         return q + step_s * v_next, v_next, f
 
     def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:

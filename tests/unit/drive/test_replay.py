@@ -195,3 +195,13 @@ def test_a_limit_of_the_torque_takes_part() -> None:
     rest = np.zeros((1, 1))
     run = replace(loop, gains=gains).run(rest, rest, rest, asked, 1e-3)
     assert np.abs(run.torque).max() <= 0.5
+
+
+def test_a_loop_that_is_not_stable_stays_a_number() -> None:
+    wild = read_again(fitted())
+    for parameter in wild.joints["joint_1"].parameters:
+        if parameter.name == "proportional":
+            parameter.value = -1e5
+    file = drives.replay([held_out()], arm().robot, wild)
+    assert np.isfinite(file.joints["joint_1"].position.rms)
+    assert file.verdicts[0].level == "poor"

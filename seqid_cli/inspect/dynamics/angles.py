@@ -25,6 +25,9 @@ from seqid_cli.typing import Array
 CLEAR = 4.0  # standard errors by which factors differ
 # Relative error of a factor from which on motion and equations say nothing of a unit.
 MAX_ERROR = 0.05
+# Times a radian, or part of it, within which there is no unit of angles: percent of a
+# range of half a turn is 0.03, a turn is 6.3.
+NEAR_ONE = 3.0
 BY_EQUATIONS = "by the equations"  # how a message says that a unit was measured
 
 
@@ -145,6 +148,10 @@ def angle_findings(sample: Sample) -> Iterator[InspectionFinding]:
         return
     robot = sample.robot
     scale = first_agreeing([*factors.of_joints.items()], angle_scales(robot))
+    unit = factors.common.value * float(unit_of_positions(robot)[sample.moving[0]])
+    if scale is None and 1.0 / NEAR_ONE < unit < NEAR_ONE:
+        # No unit is near a radian: the model lacks something that angles make up for.
+        return
     names = ", ".join(robot.joint_names[j] for j in factors.of_joints)
     yield scale_finding(sample, factors.common, scale, names)
 

@@ -68,7 +68,7 @@ from seqid_cli.typing import Array
 UNTOLD_SHARE = 0.9
 # share of the squared error, from which a function says what the rest depends on: of
 # what takes less there are many functions that take as much
-GOOD_PART = 0.5
+GOOD_PART = 1.0 / 3.0
 
 
 def diagnose(

@@ -25,12 +25,14 @@ def change(before: float, after: float, least: float = 0.0) -> float:
     return side * (after - before) / size
 
 
+def with_sign(text: str, value: float) -> str:
+    """Return a number's text with a plus where the number is positive."""
+    return f"+{text}" if value > 0.0 else text
+
+
 def change_in_percent(share: float | None) -> str:
     """Return a change in percent with its sign, "+52.6 %"."""
-    if share is None:
-        return "-"
-    sign = "+" if share > 0.0 else ""
-    return f"{sign}{percent(share)}"
+    return "-" if share is None else with_sign(percent(share), share)
 
 
 def percent(share: float, digits: int = 1) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from seqid_cli.errors import UsageError
+from seqid_cli.params.document import friction_of
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
@@ -53,14 +53,7 @@ def friction_values(
 
     from seqid_cli.model.friction import FrictionSurface
 
-    stage = parameters.stages.friction
-    joints = stage.joints if stage else {}
-    if joint not in joints:
-        raise UsageError(
-            f"no friction of {joint!r} is in this file",
-            hint=f"It has: {', '.join(joints) or 'none'}.",
-        )
-    surface = FrictionSurface.from_stage(joints[joint])
+    surface = FrictionSurface.from_stage(friction_of(parameters, joint))
     q, v = np.broadcast_arrays(
         np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     )

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypedDict
 
 from seqid_cli import __version__
-from seqid_cli.errors import ConfigError
+from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params import schema
 from seqid_cli.params.dates import created_from, now
 from seqid_cli.params.schema import (
@@ -79,6 +79,24 @@ def present(stages: Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
     by_name = {name: getattr(stages, name) for name in COMMAND_OF}
     return {name: stage for name, stage in by_name.items() if stage is not None}
+
+
+def friction_of(file: schema.ParameterFile, joint: str) -> schema.FrictionJoint:
+    """Return the identified friction of a joint.
+
+    Raises
+    ------
+    UsageError
+        No friction of this joint is in the file.
+    """
+    stage = file.stages.friction
+    joints = stage.joints if stage else {}
+    if joint not in joints:
+        names = ", ".join(joints) or "none"
+        raise UsageError(
+            f"no friction of {joint!r} is in this file", hint=f"It has: {names}."
+        )
+    return joints[joint]
 
 
 def worst_level(verdicts: Iterable[schema.Verdict]) -> schema.Level | None:

@@ -86,7 +86,7 @@ def _sum(item: Parameter) -> str:
 
 def _symbol(name: str) -> str:
     """Return a parameter's name in math mode: `Ixx_2` with its indices lowered."""
-    match = re.fullmatch(r"([A-Za-z])([A-Za-z]*)_([0-9]+)", name)
+    match = words.PARAMETER.fullmatch(name)
     if match is None:
         return rf"\mathrm{{{_text(words.effect_words(name))}}}".replace(" ", r"\ ")
     base, axes, index = match.groups()

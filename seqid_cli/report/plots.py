@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import Paths, listed
+from seqid_cli.params.document import friction_of
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
@@ -79,14 +80,9 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
     """
     from seqid_cli.report.sections.friction import friction_figures
 
-    surfaces = file.stages.friction.joints if file.stages.friction else {}
-    if joint not in surfaces:
-        names = ", ".join(surfaces) or "none"
-        raise UsageError(
-            f"no friction of {joint!r} is in this file", hint=f"It has: {names}."
-        )
+    surface = friction_of(file, joint)
     place = _collection(file).place(joint)
-    return Drawing(tuple(friction_figures(surfaces[joint], place)))
+    return Drawing(tuple(friction_figures(surface, place)))
 
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:

@@ -12,6 +12,8 @@ from seqid_cli import shares
 
 Z95 = 1.959963984540054  # of a two-sided 95 % interval
 MINUS = "\u2212"
+# A standard parameter: its letter, its axes, the number of its link.
+PARAMETER = re.compile(r"([A-Za-z])([A-Za-z]*)_([0-9]+)")
 DASH = "\u2013"
 _RAISED = str.maketrans("123-", "\u00b9\u00b2\u00b3\u207b")
 
@@ -81,7 +83,7 @@ def symbol(name: str) -> Markup:
 
     Other names stay as they are.
     """
-    match = re.fullmatch(r"([A-Za-z])([A-Za-z]*)_([0-9]+)", name)
+    match = PARAMETER.fullmatch(name)
     if match is None:
         return escape(name)
     base, axes, index = match.groups()

@@ -20,6 +20,7 @@ from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.replay import ReplayError, ReplayFile
 from seqid_cli.params.results.trend import ChangeEntry
 from seqid_cli.params.schema import ClosedLoop, RobotId, Verdict
+from seqid_cli.shares import with_sign
 
 _TEXT_KINDS = ("text", "effect", "path", "unit")
 # Stands for the unit of a joint's torque, N m or N.
@@ -83,8 +84,7 @@ class Values:
             # Plural kinds are both ends of an interval, or none.
             ends = value if head.kind.endswith("s") else [value]
             if head.kind == "share_change":
-                sign = "+" if value > 0.0 else ""
-                texts = [f"{sign}{percent(value)}"]
+                texts = [with_sign(percent(value), value)]
             elif head.kind.startswith("share"):
                 texts = [percent(end) for end in ends]
             else:

@@ -9,11 +9,14 @@ from seqid_cli.commands.command_run import EXIT_UNTRUSTED, CommandRun
 from seqid_cli.commands.options import (
     SIX,
     DebugOption,
+    ExcludeOption,
+    FromOption,
     JsonOption,
     NoColorOption,
     QuietOption,
     RobotOption,
     StrictOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
@@ -21,6 +24,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.errors import UsageError
 from seqid_cli.export.formats import BY_TARGET, BY_TITLE, FORMATS
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.export import ExportedLink, ExportFile
 
@@ -86,6 +90,9 @@ def export(
         bool,
         typer.Option("--no-replay", help="Do not run what was written over logs."),
     ] = False,
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     strict: StrictOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -119,6 +126,7 @@ what a controller takes.
             target=target,
             replay=replay or (),
             no_replay=no_replay,
+            part=LogPart.of(start, stop, exclude),
         )
     run.screen.document(file)
     has_failed = False

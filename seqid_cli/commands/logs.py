@@ -39,7 +39,7 @@ from seqid_cli.commands.robot_file import found_robot_if_any
 from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
-from seqid_cli.logs.reading import LogPart
+from seqid_cli.logs.reading import LogPart, Reading
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.inspection import InspectionFile
@@ -222,6 +222,9 @@ def init(
             help="Samples per second of tables without a column of time.",
         ),
     ] = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite a robot file that exists.")
     ] = False,
@@ -239,6 +242,7 @@ IMUs as far as known.
     screen = screen_for(
         "init", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
+    reading = Reading(part=LogPart.of(start, stop, exclude))
     drives = {}
     if torque_constant:
         drives["torque_constant"] = _numbers("--torque-constant", torque_constant)
@@ -280,13 +284,14 @@ IMUs as far as known.
         unit=unit,
         rate=rate,
         name=name or urdf_name or "robot",
+        reading=reading,
     )
     content = robot_toml(proposal.template)
     if found is not None:
         write_text_atomic(found.urdf.path, found.urdf.raw.decode(), inputs=files)
         screen.note(f"written: {found.urdf.path}, of {found.topic} in {found.log}")
     if output is not None:
-        content = _write_robot_file(screen, content, output, files)
+        content = _write_robot_file(screen, content, output, files, reading)
     _show_proposal(screen, proposal, content, output)
     if output is not None:
         screen.note(f"written: {output}")
@@ -308,7 +313,11 @@ def _check_urdf_target(found: FoundUrdf, *, force: bool) -> None:
 
 
 def _write_robot_file(
-    screen: Screen, content: str, output: Path, files: "Sequence[Path]"
+    screen: Screen,
+    content: str,
+    output: Path,
+    files: "Sequence[Path]",
+    reading: Reading,
 ) -> str:
     """Write a robot file, and again with gravity where logs show it; return its text.
 
@@ -317,7 +326,7 @@ def _write_robot_file(
     from seqid_cli.inspect.propose import with_gravity
 
     write_text_atomic(output, content, inputs=files)
-    mounted = with_gravity(content, output, files)
+    mounted = with_gravity(content, output, files, reading=reading)
     if mounted != content:
         write_text_atomic(output, mounted, inputs=files)
         screen.note("the logs tell the mounting: look at gravity in the file")

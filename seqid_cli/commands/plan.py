@@ -10,6 +10,8 @@ from seqid_cli.commands.command_run import CommandRun, any_not_good
 from seqid_cli.commands.options import (
     SIX,
     DebugOption,
+    ExcludeOption,
+    FromOption,
     JsonOption,
     NoColorOption,
     OutputOption,
@@ -18,6 +20,7 @@ from seqid_cli.commands.options import (
     SetOption,
     ShowSettingsOption,
     StrictOption,
+    ToOption,
     VerboseOption,
     command_app,
     examples,
@@ -25,6 +28,7 @@ from seqid_cli.commands.options import (
     number_check,
 )
 from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile, PlannedStage
 from seqid_cli.params.schema import RobotId
@@ -85,6 +89,9 @@ def plan(
             ),
         ),
     ] = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    exclude: ExcludeOption = None,
     output: OutputOption = None,
     trajectories: Annotated[
         Path | None,
@@ -239,6 +246,7 @@ standard errors they will give.
             keep_out=tuple(_box(text) for text in keep_out or ()),
             workspace=None if workspace is None else _box(workspace),
             floor=floor,
+            part=LogPart.of(start, stop, exclude),
         )
         settings = run.settings(PlanSettings(), set_values)
         file = plan_moves(

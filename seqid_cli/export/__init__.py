@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from seqid_cli.identify.inputs import (
     with_used_parts,
 )
 from seqid_cli.logs.given import PathLike, listed
-from seqid_cli.logs.reading import HEADER_STAMPS
+from seqid_cli.logs.reading import ALL, HEADER_STAMPS, LogPart, Reading
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head, join, present, robot_id
@@ -50,6 +50,7 @@ def export(
     target: str | None = None,
     replay: Sequence[PathLike] = (),
     no_replay: bool = False,
+    part: LogPart = ALL,
 ) -> ExportFile:
     """Write a model in the form that `target` names, or else the suffix of `output`.
 
@@ -74,6 +75,9 @@ def export(
         default.
     no_replay : bool
         Whether nothing is to be replayed.
+    part : LogPart
+        The part of each log that is replayed; by default the part that the file used of
+        it, or else all of it.
 
     Returns
     -------
@@ -100,7 +104,9 @@ def export(
     # Logs are looked for where their entries say, and beside the files.
     folders = list(dict.fromkeys([*(path.parent for path in paths), robot_path.parent]))
     logs = _logs_to_replay(file, folders, replay)
-    motions = _motions(file, arm, folders, form, logs.files)
+    used = with_used_parts(HEADER_STAMPS, [file])
+    replay_reading = replace(used, part=part)
+    motions = _motions(file, arm, folders, form, logs.files, replay_reading)
 
     exported = export_form(
         arm,
@@ -126,7 +132,15 @@ def export(
     if no_replay:
         notes.append(f"{_UNCHECKED} (--no-replay)")
     else:
-        checked = _check(output_path, form, file, arm, logs.files, loss_on_replayed)
+        checked = _check(
+            output_path,
+            form,
+            file,
+            arm,
+            logs.files,
+            loss_on_replayed,
+            reading=replay_reading,
+        )
         replay_result = checked.replay
         notes += [f"{reason}: it is not replayed" for reason in logs.lost]
         notes += checked.notes
@@ -207,6 +221,7 @@ def _motions(
     folders: Sequence[Path],
     form: Format,
     replayed_logs: Sequence[Path],
+    replay_reading: Reading,
 ) -> Motions | None:
     """Return the motions that a form is fitted to; None if it holds the whole model."""
     if form.extent == "whole" or arm.locked:
@@ -214,7 +229,13 @@ def _motions(
     from seqid_cli.export.motions import FullModel, motions_of
 
     full = FullModel.of(arm, file.stages, with_used_parts(HEADER_STAMPS, [file]))
-    return motions_of(full, file.inputs, replayed_logs, folders)
+    return motions_of(
+        full,
+        file.inputs,
+        replayed_logs,
+        folders,
+        held_out_reading=replay_reading,
+    )
 
 
 def _unrefined(
@@ -243,6 +264,8 @@ def _check(
     arm: Robot,
     logs: Sequence[Path],
     loss: Mapping[str, float | None],
+    *,
+    reading: Reading,
 ) -> _Check:
     """Run what was written over logs, where there is something to run.
 
@@ -260,6 +283,8 @@ def _check(
         Logs with torque.
     loss : mapping of str to float or None
         What the form states to lose on these logs, by joint, N m (N where prismatic).
+    reading : Reading
+        Which part of each log is replayed.
     """
     reason = _reason_for_no_replay(form, file, arm, logs)
     if reason is not None:
@@ -270,7 +295,7 @@ def _check(
     from seqid_cli.export.written.arm import UnreadableFormError
     from seqid_cli.export.written.code import NoCompilerError
 
-    full = FullModel.of(arm, file.stages, with_used_parts(HEADER_STAMPS, [file]))
+    full = FullModel.of(arm, file.stages, reading)
     names = [str(log) for log in logs]
     try:
         joints = replayed(output_path, form.title, full, logs, loss)

@@ -344,6 +344,8 @@ def motions_of(
     entries: Sequence[InputLog],
     held_out: Sequence[Path],
     folders: Sequence[Path],
+    *,
+    held_out_reading: Reading | None = None,
 ) -> Motions:
     """Return the motions of the logs that a file names, or made ones if none is there.
 
@@ -357,10 +359,13 @@ def motions_of(
         Logs that no number was fitted to.
     folders : sequence of Path
         Where logs are looked for besides.
+    held_out_reading : Reading, optional
+        Which part of the logs of `held_out` is used; as of the others by default.
     """
     logs = find_logs(logs_like_work(entries), folders)
     recordings, unreadable = _readable(full, logs.files)
-    held_out_recordings, _ = _readable(full, held_out)
+    held_out_full = replace(full, reading=held_out_reading or full.reading)
+    held_out_recordings, _ = _readable(held_out_full, held_out)
     if recordings:
         reasons = [*logs.lost, *unreadable]
         return Motions(

@@ -25,6 +25,7 @@ from seqid_cli.inspect.proposed_channels import (
     units_of,
 )
 from seqid_cli.logs.contents import LogContents, contents_of
+from seqid_cli.logs.reading import HEADER_STAMPS, Reading
 from seqid_cli.logs.tables.naming_schemes import find_scheme
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
@@ -52,6 +53,7 @@ def propose(
     drives: Mapping[str, Sequence[float]] = {},
     unit: str | None = None,
     rate: float | None = None,
+    reading: Reading = HEADER_STAMPS,
 ) -> Proposal:
     """Propose a robot file from logs of one robot.
 
@@ -71,6 +73,8 @@ def propose(
         That of positions; as names and values show it where it is left out.
     rate : float, optional
         Samples per second of tables without a column of time [Hz].
+    reading : Reading
+        By which stamps logs are read, and which part of them.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def propose(
     contents = contents_of(paths[0])
     known = Known(joints=urdf.movable if urdf is not None else (), rate=rate)
     guessed = guess(contents, known)
-    reports = [inspect_log(path, known=known) for path in paths]
+    reports = [inspect_log(path, known=known, reading=reading) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
             problem = report.findings[0]
@@ -136,10 +140,10 @@ def propose(
     template = template_for(codes)
     if urdf is not None and pairs:
         # The limits of the URDF tell units that the log alone does not.
-        seen = _codes_by(template, urdf, paths[0])
+        seen = _codes_by(template, urdf, paths[0], reading)
         if template_for(codes | seen) != template:
             template = template_for(codes | seen)
-            _codes_by(template, urdf, paths[0])
+            _codes_by(template, urdf, paths[0], reading)
     if undriven:
         todo.append(
             f"the log has neither torque nor current of {', '.join(undriven)}: left out"
@@ -148,7 +152,9 @@ def propose(
     return Proposal(template, tuple(todo))
 
 
-def _codes_by(template: RobotTemplate, urdf: UrdfText, log: Path) -> set[str]:
+def _codes_by(
+    template: RobotTemplate, urdf: UrdfText, log: Path, reading: Reading
+) -> set[str]:
     """Read a log by a proposed robot file, and return the codes of the findings.
 
     Raises InputError where that cannot be done: no file is worth writing then.
@@ -173,7 +179,7 @@ def _codes_by(template: RobotTemplate, urdf: UrdfText, log: Path) -> set[str]:
             elif error.where == str(geometry):
                 error.where = str(urdf.path)
             raise
-        report = inspect_log(log, robot)
+        report = inspect_log(log, robot, reading=reading)
     for finding in report.findings:
         if finding.code in ("unreadable", "channel_missing"):
             raise InputError(
@@ -246,7 +252,13 @@ def _driven(
 
 
 def with_gravity(
-    content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
+    content: str,
+    path: Path,
+    logs: Sequence[Path],
+    *,
+    reading: Reading = HEADER_STAMPS,
+    most: int = 8,
+    apart: float = 0.1,
 ) -> str:
     """Return a robot file's text with gravity as its first logs show it, or as it was.
 
@@ -258,13 +270,15 @@ def with_gravity(
         The robot file itself.
     logs : sequence of Path
         Logs of the robot.
+    reading : Reading
+        By which stamps they are read, and which part of them.
     most : int
         Logs that are looked at.
     apart : float
         Share of gravity by which they may differ; their median is written.
     """
     try:
-        report = inspect_logs(logs[:most], load_robot(path))
+        report = inspect_logs(logs[:most], load_robot(path), reading=reading)
     except SeqidError:
         return content
     matches = [GRAVITY.match(finding.message) for finding in report.findings]

@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
+from seqid_cli.identify.inputs import (
+    Models,
+    model_id,
+    read_models,
+    robot_of,
+    with_used_parts,
+)
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
+from seqid_cli.logs.reading import Reading
 from seqid_cli.params.document import join
 from seqid_cli.params.files import check_output, writing
 from seqid_cli.params.io import write_json_atomic
@@ -103,7 +110,10 @@ def plan(
     limits = limits_of(
         arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked
     )
-    logs = LogSet(logs=log_paths, robot=arm)
+    reading = with_used_parts(
+        Reading(part=options.part), [model for _, model in models]
+    )
+    logs = LogSet(logs=log_paths, robot=arm, reading=reading)
     geometry = _geometry(arm, limits, options)
     floor = None
     if options.floor:
@@ -170,6 +180,11 @@ def _check_options(
         raise UsageError(
             f"--have counts for inertia and discriminate, not for {plan_name}",
             hint=hint,
+        )
+    if options.part and not have:
+        hint = "Name the logs with --have, or leave it out."
+        raise UsageError(
+            "--from, --to and --exclude take a part of the logs of --have", hint=hint
         )
 
 

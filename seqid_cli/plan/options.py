@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from seqid_cli.logs.reading import ALL, LogPart
+
 What = Literal[
     "friction",
     "gravity",
@@ -58,6 +60,9 @@ class PlanOptions:
     floor : bool
         Whether all points of the arm stay above the base plane, across gravity through
         the base frame's origin.
+    part : LogPart
+        The part of each log that exists; all of it by default, or what an earlier stage
+        used of the same log.
     """
 
     duration_s: float = 150.0
@@ -78,6 +83,7 @@ class PlanOptions:
     keep_out: tuple[tuple[float, ...], ...] = ()
     workspace: tuple[float, ...] | None = None
     floor: bool = True
+    part: LogPart = ALL
 
     @property
     def length_s(self) -> float:

@@ -1,41 +1,28 @@
-"""ROS bags by the optional library rosbags: version 1, SQLite files of version 2."""
+"""ROS bags: those of version 1 by the optional library rosbags, SQLite files of 2."""
 
 import bz2
 import importlib
-import re
-import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import lz4.frame
-import msgspec
 import numpy as np
-import zstandard
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Statistics
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.mcap import reader, sqlite_bag
+from seqid_cli.logs.mcap.bags import KEPT_TYPES, Bag, Message, Topic, Wanted, made_topic
 from seqid_cli.logs.mcap.chunks import allowed
 from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import Payloads
 
-_KEPT_TYPES = (
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "std_msgs/msg/String",  # the robot's description
-    "control_msgs/msg/DynamicJointState",
-    "control_msgs/msg/JointTrajectoryControllerState",
-)
 _ROSBAG1 = b"#ROSBAG V2.0"
-_ZSTD = b"\x28\xb5\x2f\xfd"
 _LZ4 = b"\x04\x22\x4d\x18"
 _BZIP2 = b"BZh"
-_COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
-_MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _OVERHEAD = 200  # bytes that a message costs beside its own
 # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
 _CHUNK_LIMIT = 1 << 28
@@ -44,31 +31,6 @@ _REMEDY2 = (
     "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the"
     " source."
 )
-_Wanted = Callable[[str], bool]
-
-
-class _Message(NamedTuple):
-    """One message."""
-
-    channel: int
-    time_ns: int
-    data: bytes  # CDR
-
-
-class _Topic(NamedTuple):
-    """One topic of a bag, as an MCAP file describes it."""
-
-    channel: Channel
-    schema: Schema
-    messages: int
-
-
-@dataclass(frozen=True)
-class _Bag:
-    """An opened bag; `messages` are those of wanted topics and kept types."""
-
-    topics: list[_Topic]
-    messages: Callable[[], Iterator[_Message]]
 
 
 @dataclass
@@ -82,7 +44,7 @@ class BagScan(Scan):
         self.remedy = _REMEDY1 if is_first else _REMEDY2
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
-            open_bag = _rosbag1 if is_first else _rosbag2
+            open_bag = _rosbag1 if is_first else sqlite_bag.open_bag
             try:
                 bag = stack.enter_context(open_bag(self.path, self.wanted))
             except InputError:
@@ -100,7 +62,7 @@ class BagScan(Scan):
                         number, [each for each in part if each.channel == number]
                     )
 
-    def _describe(self, topics: list[_Topic]) -> None:
+    def _describe(self, topics: list[Topic]) -> None:
         """Take the topics of the bag as those of an MCAP file's summary."""
         counts = {topic.channel.id: topic.messages for topic in topics}
         self.summary.statistics = Statistics(
@@ -118,7 +80,7 @@ class BagScan(Scan):
             self.channels[topic.channel.id] = topic.channel
             self.schemas[topic.schema.id] = topic.schema
 
-    def _batch(self, number: int, messages: list[_Message]) -> Batch:
+    def _batch(self, number: int, messages: list[Message]) -> Batch:
         self.counts[number] += len(messages)
         times_ns = [max(0, message.time_ns) for message in messages]
         return Batch(
@@ -128,7 +90,7 @@ class BagScan(Scan):
             payloads=Payloads.of([message.data for message in messages]),
         )
 
-    def _up_to_fault(self, messages: Iterator[_Message]) -> Iterator[_Message]:
+    def _up_to_fault(self, messages: Iterator[Message]) -> Iterator[Message]:
         """Yield messages up to a fault of the bag, which `losses` counts."""
         try:
             yield from messages
@@ -145,10 +107,10 @@ list_topics = partial(reader.list_topics, scan=BagScan)
 
 
 def _parts(
-    messages: Iterator[_Message], *, most: int = 1 << 22
-) -> Iterator[list[_Message]]:
+    messages: Iterator[Message], *, most: int = 1 << 22
+) -> Iterator[list[Message]]:
     """Put messages together to parts of about `most` bytes; the last may be empty."""
-    part: list[_Message] = []
+    part: list[Message] = []
     size = 0
     for message in messages:
         part.append(message)
@@ -161,54 +123,7 @@ def _parts(
 
 
 @contextmanager
-def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
-    """Open the SQLite file of a ROS 2 bag; raises anything where it is damaged."""
-    storage = _module("rosbags.rosbag2.storage_sqlite3", path)
-    _refuse_computed(path)
-    bag = storage.Sqlite3Reader(path.absolute())
-    bag.open()
-    try:
-        topics = [_topic(link, str(link.msgdef.data)) for link in bag.connections]
-        described = [
-            (link.id, link.topic, link.msgtype, link.msgcount)
-            for link in bag.connections
-        ]
-        _as_declared(described, list[tuple[int, str, str, int]])
-        formats = {link.ext.serialization_format for link in bag.connections}
-        other_formats = sorted(formats - {"cdr"})
-        if other_formats:
-            raise ValueError(
-                f"its serialization is {', '.join(other_formats)}, not cdr"
-            )
-
-        def messages() -> Iterator[_Message]:
-            # Some topics are wanted for their type, which is known by now.
-            links = [
-                link
-                for link in bag.connections
-                if link.msgtype in _KEPT_TYPES and wanted(link.topic)
-            ]
-            yield from _unpacked(bag.messages(links))
-
-        yield _Bag(topics, messages)
-    finally:
-        bag.close()
-
-
-def _refuse_computed(path: Path) -> None:
-    """Raise ValueError for a database that computes what it seems to hold.
-
-    That may cost anything, and recorders do not write it.
-    """
-    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(address, uri=True)) as database:
-        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
-                raise ValueError(f"it holds a {kind} that computes values")
-
-
-@contextmanager
-def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
+def _rosbag1(path: Path, wanted: Wanted) -> Iterator[Bag]:
     """Open a ROS 1 bag; raises anything where it is damaged."""
     typesys = _module("rosbags.typesys", path)
     with _module("rosbags.rosbag1", path).Reader(path.absolute()) as bag:
@@ -216,36 +131,23 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
             bounded = _bounded(chunk.decompressor)
             bag.chunks[place] = chunk._replace(decompressor=bounded)
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        topics = [_topic(link, "") for link in bag.connections]
+        topics = [
+            made_topic(link.id, link.topic, link.msgtype, "", link.msgcount)
+            for link in bag.connections
+        ]
         # ROS 1 has no DynamicJointState.
         links = [
             link
             for link in bag.connections
-            if link.msgtype in _KEPT_TYPES[:3] and wanted(link.topic)
+            if link.msgtype in KEPT_TYPES[:3] and wanted(link.topic)
         ]
 
-        def messages() -> Iterator[_Message]:
+        def messages() -> Iterator[Message]:
             for link, time_ns, data in bag.messages(links):
                 cdr = store.ros1_to_cdr(data, link.msgtype)
-                yield _Message(link.id, time_ns, bytes(cdr))
+                yield Message(link.id, time_ns, bytes(cdr))
 
-        yield _Bag(topics, messages)
-
-
-def _topic(link: Any, definition: str) -> _Topic:
-    """Describe a topic as an MCAP file does; `definition` counts in that form only."""
-    text = definition if link.msgdef.format.name == "MSG" else ""
-    schema = Schema(
-        id=link.id, data=text.encode(), encoding="ros2msg", name=link.msgtype
-    )
-    channel = Channel(
-        id=link.id,
-        topic=link.topic,
-        message_encoding="cdr",
-        metadata={},
-        schema_id=link.id,
-    )
-    return _Topic(channel, schema, link.msgcount)
+        yield Bag(topics, messages)
 
 
 def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
@@ -271,21 +173,6 @@ def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
         return unpacked
 
     return unpack
-
-
-def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:
-    """Unpack messages that were compressed one by one."""
-    zstd = zstandard.ZstdDecompressor()
-    for link, time_ns, data in messages:
-        _as_declared((link.id, time_ns, data), tuple[int, int, bytes])
-        if data[:4] == _ZSTD:
-            data = zstd.decompress(data, max_output_size=_MESSAGE_LIMIT)
-        yield _Message(link.id, time_ns, data)
-
-
-def _as_declared(values: object, kind: Any) -> None:
-    """Raise where SQLite, whose columns hold any type, holds another than declared."""
-    msgspec.convert(values, kind, builtin_types=(bytes,))
 
 
 def _unmerged(path: Path) -> list[str]:

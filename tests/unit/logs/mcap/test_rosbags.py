@@ -103,12 +103,11 @@ def outcome(path: Path) -> Recording | InputError:
         return error
 
 
-def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(
-    tmp_path: Path,
-) -> None:
+def test_a_bag_is_read_up_to_a_damaged_page_and_told(tmp_path: Path) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     whole = path.read_bytes()
     refused = 0
+    n_read = []
     for page in range(1, len(whole) // 4096):
         data = bytearray(whole)
         data[4096 * page : 4096 * (page + 1)] = b"\xff" * 4096
@@ -118,41 +117,12 @@ def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(
             refused += 1
             assert found.where == str(path)
             assert ".recover" in found.hint or found.hint.startswith("Record ")
-        elif not found.partial:
-            np.testing.assert_array_equal(found.q, MOTION.q)
-    assert refused > 10
-
-
-ENDLESS = (
-    "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x FROM c"
-)
-CHANGES = {
-    "": "cannot be read",  # the file is cut
-    "UPDATE topics SET type = x'00ff'": "cannot be read",
-    "DROP TABLE messages; DROP TABLE topics": "missing tables",
-    f"CREATE VIEW a AS {ENDLESS}": "computes values",
-    "CREATE TABLE a(a, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))": (
-        "computes values"
-    ),
-    "CREATE TRIGGER a AFTER INSERT ON messages BEGIN DELETE FROM topics; END": (
-        "computes values"
-    ),
-}
-
-
-@pytest.mark.parametrize("change", CHANGES, ids=range(len(CHANGES)))
-def test_a_database_that_is_no_sound_bag_is_refused(
-    change: str, tmp_path: Path
-) -> None:
-    path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
-    assert isinstance(outcome(path), Recording)
-    if change:
-        executed(path, change)
-    else:
-        path.write_bytes(path.read_bytes()[:20_000])
-    found = outcome(path)
-    assert CHANGES[change] in found.message
-    assert change or ".recover" in found.hint
+            continue
+        n_read.append(len(found.t))
+        np.testing.assert_array_equal(found.q, MOTION.q[: len(found.t)])
+        assert (found.partial == "") == (len(found.t) == len(MOTION.t))
+    assert refused > 3
+    assert len(set(n_read)) > 5
 
 
 @pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])
@@ -198,16 +168,16 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
 def test_a_missing_library_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, second = (
-        rosbag1(tmp_path / "log", DATA),
+    path = rosbag1(tmp_path / "log", DATA)
+    needless = [
         rosbag2_sqlite(tmp_path / "sqlite", DATA),
-    )
-    needless = formats.rosbag2_mcap(tmp_path / "mcap", DATA)
+        formats.rosbag2_mcap(tmp_path / "mcap", DATA),
+    ]
     for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
-    for path in (first, second):
-        with pytest.raises(InputError, match="not installed") as caught:
-            read_recording(path, make_robot())
-        assert 'pip install "seqid[bags]"' in caught.value.hint
-    np.testing.assert_array_equal(read_recording(needless, make_robot()).q, MOTION.q)
+    with pytest.raises(InputError, match="not installed") as caught:
+        read_recording(path, make_robot())
+    assert 'pip install "seqid[bags]"' in caught.value.hint
+    for bag in needless:
+        np.testing.assert_array_equal(read_recording(bag, make_robot()).q, MOTION.q)

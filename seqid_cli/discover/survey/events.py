@@ -9,7 +9,8 @@ push on link k moves the joints up to k, so their evidence is taken together.
 
 A push of seconds fills so much of a log that its own windows would tell what is usual.
 Stretches in which far more is left than elsewhere (`survey.stretches`) are no measure
-of others, and none of their windows is compared with the same stretch.
+of others, and none of their windows is compared with the same stretch. A shorter push
+fills what few windows are alike: none is compared with what is near it in time.
 
     z_w = min_c |m_w - med_c| / max_c s_c
 
@@ -679,17 +680,60 @@ def _class_size(windows: Windows, joint: int) -> Array:
 
     size = np.zeros(len(mean))
     for members in classes:
-        magnitude = np.abs(mean[members & is_known])
-        if len(magnitude) == 0:
-            continue
-        if len(magnitude) < FEWEST:
-            class_size = np.max(magnitude)
-        else:
-            # Of bursts, which a median does not see, as well.
-            median, one_in_ten = np.quantile(magnitude, (0.5, 0.9))
-            class_size = max(PER_MEDIAN * median, one_in_ten / MOST)
-        size[members] = np.maximum(size[members], class_size)
+        of_class = _sizes_at_other_times(windows, np.abs(mean), members, is_known)
+        size[members] = np.maximum(size[members], of_class)
     return size
+
+
+def _sizes_at_other_times(
+    windows: Windows, magnitude: Array, members: Mask, is_known: Mask
+) -> Array:
+    """Return the robust size (members,) that each window of a class is compared with.
+
+    A class may have few windows: those of one push would tell what is usual in it. So
+    what is near a window in time is no measure of it, if enough is left without.
+
+    Parameters
+    ----------
+    windows : Windows
+        All windows.
+    magnitude : (W,) array
+        Of a joint's mean in each.
+    members : (W,) mask
+        Windows of the class.
+    is_known : (W,) mask
+        Windows that are a measure of others.
+    """
+    in_class = np.flatnonzero(members)
+    references = np.flatnonzero(members & is_known)
+    if len(references) == 0:
+        return np.zeros(len(in_class))
+    of_all = _robust_size(magnitude[references])
+    sizes = np.full(len(in_class), of_all)
+
+    # What is no more than usual beside its own moment does not stand out without it.
+    block = np.floor(windows.centre / BLOCK_S).astype(np.intp)
+    is_large = np.nan_to_num(magnitude[in_class]) > of_all
+    large = in_class[is_large]
+    for log, number in np.unique(
+        np.stack([windows.scene[large], block[large]], axis=1), axis=0
+    ).tolist():
+        same_log = windows.scene[references] == log
+        is_near = same_log & (np.abs(block[references] - number) <= 1)
+        others = magnitude[references[~is_near]]
+        if len(others) >= FEWEST:
+            here = (windows.scene[in_class] == log) & (block[in_class] == number)
+            sizes[here] = np.minimum(sizes[here], _robust_size(others))
+    return sizes
+
+
+def _robust_size(magnitude: Array) -> float:
+    """Return the robust size of means of a magnitude (K,), K at least one."""
+    if len(magnitude) < FEWEST:
+        return float(np.max(magnitude))
+    # Of bursts, which a median does not see, as well.
+    median, one_in_ten = np.quantile(magnitude, (0.5, 0.9))
+    return float(max(PER_MEDIAN * median, one_in_ten / MOST))
 
 
 def places(

@@ -12,7 +12,7 @@ from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.settings import EventSettings, EvidenceSettings
-from seqid_cli.discover.survey.events import Interval, find_events
+from seqid_cli.discover.survey.events import Interval, Windows, find_events, scores
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
 from tests import Array
@@ -201,3 +201,35 @@ def test_terms_that_add_more_than_the_file_leaves_make_an_event(
     left = [whole.residual for whole in model.ground.base.scene_bases]
     monkeypatch.setattr(model, "left", lambda: [times * one for one in left])
     assert investigate.not_of_terms([PUSH], model) == ([] if expected else [PUSH])
+
+
+def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:
+    """Another joint's load turns round at five moments, in one of them a push lasts
+    for 0.4 s: a sixth of the windows of that class are the push's own.
+    """
+    rng = np.random.default_rng(0)
+    centre = np.arange(0.1, 40.0, 0.04)
+    moments = (6.0, 13.0, 20.0, 27.0, 34.0)
+    nearest = np.min(np.abs(centre[:, None] - np.array(moments)), axis=1)
+    turns = np.zeros((len(centre), 4), dtype=bool)
+    turns[:, 3] = nearest < 0.3
+    mean = rng.normal(size=(len(centre), 2))
+    is_push = np.abs(centre - moments[2]) < 0.2
+    mean[is_push, 0] += 100.0
+    windows = Windows(
+        length_s=0.15,
+        scene=np.zeros(len(centre), dtype=np.intp),
+        centre=centre,
+        mean=mean,
+        state=rng.normal(size=(len(centre), 8)),
+        speed=np.ones((len(centre), 2)),
+        reverses=turns,
+        stretch=np.full(len(centre), -1),
+    )
+    z = scores(windows)[:, 0]
+    assert np.all(z[is_push] > 5.0 * GATE)
+    assert np.all(np.abs(z[~is_push]) < GATE)
+
+    # What recurs wherever the load turns round is usual there.
+    mean[nearest < 0.2, 0] += np.where(is_push, 0.0, 100.0)[nearest < 0.2]
+    assert np.all(np.abs(scores(windows)) < GATE)

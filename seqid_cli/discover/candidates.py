@@ -182,6 +182,24 @@ class Candidate:
                 return False
         return True
 
+    def may_replace(self, other: Candidate) -> bool:
+        """Return whether it is another one's effect, with any settings.
+
+        The logs in which it is and what the file has of it are the same. Of several
+        lines or ripples it is the same one; what is looked for to first order has its
+        settings from its own size.
+        """
+        is_where_other_is = (self.apart, self.absorbed, self.late) == (
+            other.apart,
+            other.absorbed,
+            other.late,
+        ) and self.settings.get(FROM_LOG) == other.settings.get(FROM_LOG)
+        if self.key != other.key or not is_where_other_is:
+            return False
+        if self.effect.wide:
+            return self.is_same_as(other)
+        return not self.effect.first_order
+
     def columns(self, scene: Scene) -> Columns:
         """Return the torque (N, k) per unit coefficient by joint, unfiltered."""
         return self.effect.columns_in_log(scene, self.joint, self.settings)

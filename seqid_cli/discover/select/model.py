@@ -430,27 +430,31 @@ class Model:
     def polish(self) -> None:
         """Search the settings of all effects again, with all others in place."""
         for number, term in enumerate(self.terms):
-            if isinstance(term.what, Candidate):
-                self.terms[number] = self._polished(term, term.what)
+            if not isinstance(term.what, Candidate):
+                continue
+            polished = self._polished(term, term.what)
+            self.terms[number] = polished
+            # Coefficients of the others stand elsewhere then.
+            if polished.part.size != term.part.size:
+                self.settle()
         self.settle()
 
     def _polished(self, term: Term, candidate: Candidate) -> Term:
-        """Return an effect of the model at its best settings."""
+        """Return an effect of the model at its best settings.
+
+        The whole grid is tried again: much noise was left when the term was taken, and
+        less of its shape was seen. Of a line in time or a ripple what is left without
+        it says where it is.
+        """
         tuner = self.ground.tuner(self.beside(term))
+        of_grid = candidates_of(
+            tuner.stage.scenes,
+            [candidate.effect],
+            self.left(without=term),
+            {candidate.joint},
+        )
         starts = [candidate]
-        # A line in time, a ripple: what is left without it says where it is.
-        if candidate.effect.wide:
-            guided = candidates_of(
-                tuner.stage.scenes,
-                [candidate.effect],
-                self.left(without=term),
-                {candidate.joint},
-            )
-            starts += [
-                line
-                for line in guided
-                if line.is_same_as(candidate) and line.apart == candidate.apart
-            ]
+        starts += [other for other in of_grid if other.may_replace(candidate)]
         fitted = tuner.tried(starts)
         if not fitted:
             return term

@@ -5,8 +5,8 @@ leaves.
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.model import FIRM, FREE, HELD
-from seqid_cli.effects.scene import Scene
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model
+from seqid_cli.effects.scene import Scene, positions
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,
@@ -18,6 +18,7 @@ from tests.unit.discover.arms import (
     candidate,
     drag,
     file_of,
+    ground_of,
     model_of,
     payload,
 )
@@ -77,6 +78,29 @@ def test_a_lines_frequency_is_sharpened_beside_all_else() -> None:
         model.add([line, candidate("quadratic_drag", 0)])
         found = model.candidates[0].settings["frequency"]
         assert found == (off if off == 3.9 else pytest.approx(3.7, abs=0.02 / span))
+
+
+def test_values_of_the_grid_are_tried_again_beside_all_else() -> None:
+    """Two waves were enough beside the noise of before."""
+
+    def waves(scene: Scene) -> Array:
+        turn = scene.motion.q[:, 0]
+        of_file = np.cos(turn) + 0.8 * np.sin(2.0 * turn)
+        return scene.sign[:, 0] * (of_file + 0.15 * np.sin(5.0 * turn))
+
+    scenes = arm_scenes(at_joint(0, waves), logs=2, noise=(0.02, 0.02))
+    low, high = positions(scenes, 0)
+    taken = candidate(
+        "position_dependent_friction",
+        0,
+        period=2.0 * np.pi,
+        waves=2.0,
+        lowest=low,
+        highest=high,
+    )
+    model = Model(ground_of(scenes), FREE, [taken, candidate("quadratic_drag", 1)])
+    polished, _ = model.candidates
+    assert polished.settings == {**taken.settings, "waves": 5.0}
 
 
 def test_errors_are_no_narrower_than_the_scatter_over_blocks() -> None:

@@ -11,7 +11,8 @@ So a smaller finding is worth what it gains there. A change of the file's values
 asked: its form is that of the base (see `changes`).
 
 Where the larger finding is a smooth function, it is not understood, and an effect
-beside it may be a part of the same.
+beside it may be a part of the same. Of a change of the file's values a function of time
+is no such thing: it says how the change goes on, as where a gear warms up.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from seqid_cli.discover.select.model import Model, PriorScale
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.results import TermResult, again
 from seqid_cli.discover.select.search import is_wide
+from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import Term
 
 # Times the file's errors, by which the base may leave it: ten times what the evidence
@@ -92,6 +94,7 @@ def share_not_understood(
     """Return the share of larger smooth functions in their gain and a finding's.
 
     A ripple or a line in time is finer than any smooth function: it is no part of one.
+    Nor is a change of the file's values part of a function of time: that is its course.
     """
     if is_wide(result.term):
         return 0.0
@@ -99,6 +102,11 @@ def share_not_understood(
     of_functions = sum(
         other.scored.score.total
         for other in _larger(result, results)
-        if other.term.smooth
+        if other.term.smooth and not (result.term.change and _is_of_time(other.term))
     )
     return of_functions / max(of_functions + gain, 1e-300)
+
+
+def _is_of_time(term: Term) -> bool:
+    """Return whether a term is a smooth function of time, with its direction or not."""
+    return isinstance(term.what, SmoothFunction) and term.what.quantities[0] == "time"

@@ -7,6 +7,7 @@ import pytest
 
 from seqid_cli.discover.select.naming import named, steadiness
 from seqid_cli.discover.select.seconds import share_not_understood
+from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
@@ -61,6 +62,7 @@ class Found:
     smooth: bool
 
     what: object = None  # no effect that is finer than smooth functions
+    change: bool = False  # of the file's values
 
     @property
     def term(self) -> "Found":
@@ -82,6 +84,33 @@ def test_what_is_not_understood_is_the_larger_functions(
     function: Found, expected: float
 ) -> None:
     finding = Found(frozenset({0}), 100.0, smooth=False)
+    results = {finding.term: finding, function.term: function}
+    assert share_not_understood(finding, results) == expected
+
+
+def function_of(quantity: str) -> Found:
+    """A function of the joint's direction, and of how something goes on."""
+    function = SmoothFunction(
+        joint=0,
+        quantities=(quantity, "direction"),
+        label=f"{quantity} x direction",
+        axes=(),
+        factor="direction",
+        mixing=np.eye(1),
+    )
+    return Found(frozenset({0}), 300.0, smooth=True, what=function)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "is_change", "expected"),
+    [("time", True, 0.0), ("time", False, 0.75), ("load", True, 0.75)],
+)
+def test_a_change_is_no_part_of_its_own_course(
+    quantity: str, is_change: bool, expected: float
+) -> None:
+    """A warm gear's friction has changed, and goes on changing while the logs last."""
+    function = function_of(quantity)
+    finding = Found(frozenset({0}), 100.0, smooth=False, change=is_change)
     results = {finding.term: finding, function.term: function}
     assert share_not_understood(finding, results) == expected
 

@@ -55,9 +55,12 @@ class RefinementRound(Struct, kw_only=True):
     gain beyond them, null where no log goes there. Intervals are 95 % (empty: not
     known), `interval` that of the held-out gain. `whole_logs_gain` is the same on whole
     logs that were left out of the fit one after the other, at positions that the others
-    reach, `gain_by_log` that of each; it is null where one log alone tells. `evidence`
-    and `rivals` are of the logs that were fitted, beside the effects of the rounds
-    before.
+    reach, `gain_by_log` that of each; it is null where one log alone tells.
+    `whole_logs_interval` is what one log more will gain, as these logs differ; a gain
+    is `promised` where that lies above zero.
+    `after_refusal_of` are other names of what it explains, that were tried before and
+    refused. `evidence` and `rivals` are of the logs that were fitted, beside the
+    effects of the rounds before.
     """
 
     effect: str
@@ -71,10 +74,12 @@ class RefinementRound(Struct, kw_only=True):
     whole_logs_gain: float | None = None
     whole_logs_interval: list[float] = []
     gain_by_log: dict[str, float] = {}
+    promised: bool = False
     held_out_gain: float | None = None
     interval: list[float] = []
     gain_outside: float | None = None
     interval_outside: list[float] = []
     reason: str = ""
+    after_refusal_of: list[str] = []
     evidence: EvidenceEntry | None = None
     rivals: list[RivalEntry] = []

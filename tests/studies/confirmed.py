@@ -2,7 +2,8 @@
 
 `python -m tests.studies --only confirmed`: recorded robots with several logs, and
 simulated arms whose seeds were looked at while the rules were made. A promise is an
-effect that `refine` adds before any held-out log is opened.
+effect that `refine` adds before any held-out log is opened, of whose gain it says that
+another log has it. What it adds without a promise is counted beside.
 """
 
 import time
@@ -13,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement.across_logs import FEWEST_LOGS
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
@@ -49,21 +49,25 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Promise:
+class Added:
     """An effect that was added, and what whole logs and held-out logs say of it."""
 
     effect: str
     joint: str | None
     training_gain: float
     whole_logs_gain: float | None
+    whole_logs_interval: tuple[float, ...]
+    promised: bool
     held_out_gain: float | None
     confirmed: bool
     n_logs: int  # that show its joints, of those to fit
+    after_refusal_of: tuple[str, ...] = ()
 
     @property
-    def is_proven(self) -> bool:
-        """Whether enough logs speak for it, each fitted by the others."""
-        return self.n_logs >= FEWEST_LOGS
+    def is_within(self) -> bool:
+        """Whether the gain on held-out logs is what whole logs said it would be."""
+        low, high = self.whole_logs_interval
+        return self.held_out_gain is not None and low <= self.held_out_gain <= high
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Result:
 
     group: str
     key: str
-    promises: tuple[Promise, ...]
+    added: tuple[Added, ...]
     disproved: tuple[str, ...]
     seconds: float
 
@@ -170,21 +174,24 @@ def run_case(case: Case, cache: Path) -> Result:
     return Result(
         group=case.group,
         key=case.key,
-        promises=tuple(map(_promise, (*loop.rounds, *loop.unconfirmed))),
+        added=tuple(map(_added, (*loop.rounds, *loop.unconfirmed))),
         disproved=tuple(disproved),
         seconds=round(time.process_time() - clock, 1),
     )
 
 
-def _promise(entry: RefinementRound) -> Promise:
-    return Promise(
+def _added(entry: RefinementRound) -> Added:
+    return Added(
         effect=entry.effect,
         joint=entry.joint,
         training_gain=entry.training_gain or 0.0,
         whole_logs_gain=entry.whole_logs_gain,
+        whole_logs_interval=tuple(entry.whole_logs_interval),
+        promised=entry.promised,
         held_out_gain=entry.held_out_gain,
         confirmed=bool(entry.confirmed),
         n_logs=max(len(entry.gain_by_log), 1),
+        after_refusal_of=tuple(entry.after_refusal_of),
     )
 
 
@@ -205,18 +212,16 @@ def study(arguments: Namespace) -> str:
 
 
 def _told(result: Result) -> str:
-    kept = sum(promise.confirmed for promise in result.promises)
-    return f"{kept} of {len(result.promises)} confirmed ({result.seconds:.0f} CPU s)"
+    kept = sum(effect.confirmed for effect in result.added)
+    return f"{kept} of {len(result.added)} confirmed ({result.seconds:.0f} CPU s)"
 
 
 def rendered(found: Sequence[Result]) -> str:
-    """Return two tables: kept promises by group, and each that was not kept."""
+    """Return two tables: kept promises by group, and each that was not confirmed."""
     rows = []
     for group in dict.fromkeys(result.group for result in found):
         of_group = [result for result in found if result.group == group]
         rows.append([group, *_counts(of_group)])
-    for name, is_proven in (("shown by three logs or more", True), ("fewer", False)):
-        rows.append([name, *_counts(found, is_proven=is_proven)])
     rows.append(["all", *_counts(found)])
     header = [
         "logs",
@@ -224,21 +229,25 @@ def rendered(found: Sequence[Result]) -> str:
         "promised",
         "confirmed",
         "share",
+        "added without a promise",
+        "of these confirmed",
         "disproved by whole logs before",
     ]
     broken = [
         [
             result.key,
-            promise.effect,
-            promise.joint or "-",
-            str(promise.n_logs),
-            _percent(promise.training_gain),
-            _percent(promise.whole_logs_gain),
-            _percent(promise.held_out_gain),
+            effect.effect,
+            effect.joint or "-",
+            "yes" if effect.promised else "no",
+            str(effect.n_logs),
+            _percent(effect.training_gain),
+            _percent(effect.whole_logs_gain),
+            _range(effect.whole_logs_interval),
+            _percent(effect.held_out_gain),
         ]
         for result in found
-        for promise in result.promises
-        if not promise.confirmed
+        for effect in result.added
+        if not effect.confirmed
     ]
     parts = [table(header, rows)]
     if broken:
@@ -246,31 +255,54 @@ def rendered(found: Sequence[Result]) -> str:
             "not confirmed, of",
             "effect",
             "joint",
+            "promised",
             "logs",
             "left-out blocks",
             "left-out logs",
+            "of another log, 95 %",
             "held-out logs",
         ]
         parts.append(table(titles, broken))
+
+    stated = [
+        effect
+        for result in found
+        for effect in result.added
+        if effect.whole_logs_interval
+    ]
+    if stated:
+        within = sum(effect.is_within for effect in stated)
+        parts.append(
+            f"Of {len(stated)} stated intervals {within} hold the gain on the held-out"
+            " logs."
+        )
     return "\n\n".join(parts)
 
 
-def _counts(found: Sequence[Result], *, is_proven: bool | None = None) -> list[str]:
-    """Return refinements and promises, of all or of those that logs prove or not."""
-    promises = [
-        promise
-        for result in found
-        for promise in result.promises
-        if is_proven in (None, promise.is_proven)
+def _counts(found: Sequence[Result]) -> list[str]:
+    """Return refinements, promises, what was added without one, and what was not."""
+    effects = [effect for result in found for effect in result.added]
+    promised = [effect for effect in effects if effect.promised]
+    others = [effect for effect in effects if not effect.promised]
+    kept = sum(effect.confirmed for effect in promised)
+    return [
+        str(len(found)),
+        str(len(promised)),
+        str(kept),
+        _percent(kept / len(promised)) if promised else "-",
+        str(len(others)),
+        str(sum(effect.confirmed for effect in others)),
+        str(sum(len(result.disproved) for result in found)),
     ]
-    kept = sum(promise.confirmed for promise in promises)
-    share = _percent(kept / len(promises)) if promises else "-"
-    counts = [str(len(promises)), str(kept), share]
-    if is_proven is not None:
-        return ["", *counts, ""]
-    disproved = sum(len(result.disproved) for result in found)
-    return [str(len(found)), *counts, str(disproved)]
 
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.0f} %"
+
+
+def _range(interval: Sequence[float]) -> str:
+    """Return an interval of a share; "-" where it is not known."""
+    if not interval:
+        return "-"
+    low, high = (f"{100 * share:.0f}" for share in interval)
+    return f"{low} to {high} %"

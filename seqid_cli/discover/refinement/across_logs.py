@@ -15,13 +15,15 @@ as well: a law is not asked about places that no log has shown it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.stats import t as student_t
 
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement.held_out import Gain
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import Model
@@ -97,6 +99,34 @@ class AcrossLogs:
             high=float(high),
         )
 
+    @cached_property
+    def of_another_log(self) -> Gain:
+        """The gain to expect of one log more, with its 95 % interval.
+
+        Logs differ in it, and two or three of them say little of how much: Student's t
+        with one degree of freedom less than logs. Of one log alone the interval is
+        everything.
+        """
+        count = len(self.names)
+        total = max(float(self.before.sum()), 1e-300)
+        ratio = float(self.after.sum()) / total
+        half_width = np.inf
+        if count > 1:
+            # the spread of logs about the ratio, and the error of the ratio itself
+            difference = (self.after - ratio * self.before) / (total / count)
+            spread = np.sqrt(np.sum(difference**2) / (count - 1))
+            quantile = student_t.ppf(0.5 + LEVEL / 2, count - 1)
+            half_width = quantile * spread * np.sqrt(1.0 + 1.0 / count)
+        value = 1.0 - ratio
+        return Gain(
+            value=value, low=float(value - half_width), high=float(value + half_width)
+        )
+
+    @property
+    def is_promised(self) -> bool:
+        """Whether one log more is expected to gain, and not by chance."""
+        return self.of_another_log.certain
+
     @property
     def of_each(self) -> dict[str, float]:
         """The gain of each log by itself."""
@@ -156,16 +186,12 @@ class ResultAcrossLogs(TermResult):
     instead_of: Term
 
 
-def across_logs(
-    result: TermResult, recordings: Sequence[Recording], options: Options
-) -> ResultAcrossLogs:
-    """Return the term, or the rival of it that predicts whole logs best.
+class NamesAcrossLogs:
+    """A finding of the selection, and the names that whole logs leave to it.
 
     Blocks that lie between others tell a law from waves that follow it there by little.
-    Logs of other motions do: so rivals that explain half as much are asked as well.
-    Where one is clearly better than the term, it stands in its place; of several the
-    one with the fewest parameters. A smooth function has no rivals: it is tried where
-    no effect explains.
+    Logs of other motions do: so rivals that explain half as much are asked as well. A
+    smooth function has no rivals: it is tried where no effect explains.
 
     Parameters
     ----------
@@ -176,37 +202,143 @@ def across_logs(
     options : Options
         What decides.
     """
-    model = result.model
-    without = model.beside(result.term)
-    channels = result.term.channels
-    taken = _compared(model, channels, without, model.linear, recordings)
-    if result.term.smooth or not taken.is_enough:
-        return _with_logs(result, taken, result.term)
 
-    tried: list[tuple[ScoredTerm, AcrossLogs]] = []
-    if taken.is_proven(options.improvement):
-        tried.append((result.scored, taken))
-    for rival in _near_rivals(result):
-        terms = [rival.term if each is result.term else each for each in model.terms]
-        linear = model.under(model.noise, terms)
-        across = _compared(model, channels, without, linear, recordings)
-        if across.is_proven(options.improvement):
-            tried.append((rival, across))
+    def __init__(
+        self, result: TermResult, recordings: Sequence[Recording], options: Options
+    ) -> None:
+        self.result = result
+        self._recordings = recordings
+        self._options = options
+        self._across: dict[Term, AcrossLogs] = {}
+        self._named: dict[Term, ResultAcrossLogs] = {}
 
-    if not tried:
-        return _with_logs(result, taken, result.term)
+    @cached_property
+    def _without(self) -> LinearModel:
+        return self.result.model.beside(self.result.term)
 
-    _, best = min(tried, key=lambda pair: float(pair[1].after.sum()))
-    near = [
-        (scored, across)
-        for scored, across in tried
-        if across.is_as_good_as(best, options.negligible_share)
-    ]
-    # What the selection took stands unless another one is clearly better.
-    if any(scored is result.scored for scored, _ in near):
-        return _with_logs(result, taken, result.term)
-    scored, across = min(near, key=lambda pair: pair[0].term.freedom)
-    return _with_logs(_in_place(result, scored), across, result.term)
+    def across(self, scored: ScoredTerm) -> AcrossLogs:
+        """Return what whole logs say of the term, or of a rival in its place."""
+        term = scored.term
+        if term not in self._across:
+            model = self.result.model
+            linear = model.linear
+            if term is not self.result.term:
+                linear = model.under(model.noise, _terms_with(self.result, term))
+            self._across[term] = _compared(
+                model,
+                self.result.term.channels,
+                self._without,
+                linear,
+                self._recordings,
+            )
+        return self._across[term]
+
+    def likeliest(
+        self, is_refused: Callable[[Candidate], bool] = lambda _: False
+    ) -> ResultAcrossLogs | None:
+        """Return the finding by its most probable name that is not refused.
+
+        Where whole logs can prove a name, it is the one that they prove. One that is
+        clearly better than what the selection took stands in its place; of several the
+        one with the fewest parameters. A name that follows a refused one must not be
+        disproved.
+
+        Parameters
+        ----------
+        is_refused : callable
+            Whether an effect was tried and refused.
+
+        Returns
+        -------
+        ResultAcrossLogs or None
+            None where every name that explains half as much is refused or disproved.
+        """
+        result = self.result
+        first = result.scored
+        if result.term.smooth:
+            return _with_logs(result, self.across(first), result.term)
+
+        min_gain = self._options.improvement
+        names = [first, *_near_rivals(result, is_refused)]
+        if is_refused(_candidate_of(first)):
+            names = [each for each in names[1:] if not self._is_disproved(each)]
+            if not names:
+                return None
+        if not self.across(first).is_enough:
+            # What blocks say is all that there is: the largest gain comes first.
+            return self._by_name(names[0])
+
+        proven = [each for each in names if self.across(each).is_proven(min_gain)]
+        if not proven:
+            return self._by_name(names[0])
+        best = min(proven, key=lambda each: float(self.across(each).after.sum()))
+        near = [
+            each
+            for each in proven
+            if self.across(each).is_as_good_as(
+                self.across(best), self._options.negligible_share
+            )
+        ]
+        # What the selection took stands unless another one is clearly better.
+        if first in near:
+            return self._by_name(first)
+        return self._by_name(min(near, key=lambda each: each.term.freedom))
+
+    def following(
+        self, result: TermResult, is_refused: Callable[[Candidate], bool]
+    ) -> list[ScoredTerm]:
+        """Return the names to go on with if this one is refused, in their order.
+
+        Whole logs prove them, or do not disprove them where they can prove nothing.
+
+        Parameters
+        ----------
+        result : TermResult
+            The finding by one of its names.
+        is_refused : callable
+            Whether an effect was tried and refused.
+        """
+        first = self.result.scored
+        others = [
+            each
+            for each in (first, *_near_rivals(self.result, is_refused))
+            if each.term is not result.term and not is_refused(_candidate_of(each))
+        ]
+        if self.across(first).is_enough:
+            min_gain = self._options.improvement
+            return [each for each in others if self.across(each).is_proven(min_gain)]
+        return [each for each in others if not self._is_disproved(each)]
+
+    def _is_disproved(self, scored: ScoredTerm) -> bool:
+        return self.across(scored).is_disproved(self._options.improvement)
+
+    def _by_name(self, scored: ScoredTerm) -> ResultAcrossLogs:
+        """Return the finding as one of its names says."""
+        term = scored.term
+        if term not in self._named:
+            result = self.result
+            named = result if term is result.term else _in_place(result, scored)
+            self._named[term] = _with_logs(named, self.across(scored), result.term)
+        return self._named[term]
+
+
+def across_logs(
+    result: TermResult, recordings: Sequence[Recording], options: Options
+) -> ResultAcrossLogs:
+    """Return the term, or the rival of it that predicts whole logs best.
+
+    Parameters
+    ----------
+    result : TermResult
+        A term of the selection in its model.
+    recordings : sequence of Recording
+        The logs, in the order of the model's data sets; pieces of one are one log.
+    options : Options
+        What decides.
+    """
+    likeliest = NamesAcrossLogs(result, recordings, options).likeliest()
+    assert likeliest is not None  # nothing is refused
+    return likeliest
 
 
 def _with_logs(
@@ -217,8 +349,19 @@ def _with_logs(
     return ResultAcrossLogs(**of_result, across=across, instead_of=instead_of)
 
 
-def _near_rivals(result: TermResult) -> list[ScoredTerm]:
-    """Return the first effects at the term's joint that explain half of it."""
+def _candidate_of(scored: ScoredTerm) -> Candidate:
+    """Return the effect that a term is."""
+    assert isinstance(scored.term.what, Candidate)
+    return scored.term.what
+
+
+def _near_rivals(
+    result: TermResult, is_refused: Callable[[Candidate], bool]
+) -> list[ScoredTerm]:
+    """Return the first effects at the term's joint that explain half of it.
+
+    Those that were refused make room for others.
+    """
     least = NEAR_RIVAL * result.scored.score.total
     rivals = [
         rival
@@ -227,14 +370,20 @@ def _near_rivals(result: TermResult) -> list[ScoredTerm]:
         and rival.term is not result.term
         and rival.term.joint == result.term.joint
         and rival.score.total >= least
+        and not is_refused(_candidate_of(rival))
     ]
     return rivals[:MOST_RIVALS]
+
+
+def _terms_with(result: TermResult, rival: Term) -> list[Term]:
+    """Return the terms of the model with a rival in the place of one."""
+    return [rival if each is result.term else each for each in result.model.terms]
 
 
 def _in_place(result: TermResult, rival: ScoredTerm) -> TermResult:
     """Return a rival as a term of the model, in the place of the one that was taken."""
     model = copy(result.model)
-    model.terms = [rival.term if each is result.term else each for each in model.terms]
+    model.terms = _terms_with(result, rival.term)
     model.settle()
     judged = TermInModel(rival.term, model)
     return replace(

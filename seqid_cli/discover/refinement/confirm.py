@@ -25,12 +25,18 @@ from seqid_cli.discover.refinement.held_out import (
     gain_of,
     held_out_error,
 )
-from seqid_cli.discover.refinement.loop import Refinement, Step, with_effects
+from seqid_cli.discover.refinement.loop import (
+    PlaceToFill,
+    Refinement,
+    Step,
+    with_effects,
+)
 from seqid_cli.discover.refinement.reidentify import Refitted
 from seqid_cli.discover.scenes import scenes_of, usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.options import Options
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import ClosedLoop, Stages, StoppedAt
@@ -96,7 +102,9 @@ def confirm(
     errors = _Errors(
         logs=held_out, robot=robot, options=motion_options, whole_logs=whole_logs
     )
-    steps, taken_out = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
+    settled = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
+    steps = settled.steps
+    taken_out = settled.taken_out
 
     # What the model that is written leaves, beside what the file left.
     model = steps[-1].model if steps else refinement.incoming_model
@@ -120,7 +128,7 @@ def confirm(
         verdict="good" if all(entry.confirmed for entry in rounds) else "poor",
         rounds=rounds,
         unconfirmed=taken_out,
-        refused=refinement.refused,
+        refused=[*refinement.refused, *settled.refused],
         tried=refinement.tried,
         stopped_at=_stopped_at(refinement),
         before=error_before.by_joint(names),
@@ -210,12 +218,33 @@ class _Errors:
         return held_out_error(self.logs, self.robot, stages, self.options)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Settled:
+    """What a refinement ends with.
+
+    Attributes
+    ----------
+    steps : list of Step
+        The rounds that stay, with gains.
+    taken_out : list of RefinementRound
+        Effects that the held-out logs do not confirm.
+    refused : list of RefinementRound
+        Names that were to follow one of these, and that the logs to fit refuse.
+    """
+
+    steps: list[Step]
+    taken_out: list[RefinementRound]
+    refused: list[RefinementRound]
+
+
 def _settled(
     refinement: Refinement, errors: _Errors, *, keep_unconfirmed: bool
-) -> tuple[list[Step], list[RefinementRound]]:
-    """Return the rounds that stay, with gains, and the effects that are taken out."""
+) -> _Settled:
+    """Take out what is not confirmed, and go on with its next names."""
     steps = list(refinement.steps)
     taken_out: list[RefinementRound] = []
+    refused: list[RefinementRound] = []
+    places: list[PlaceToFill] = []
     while True:
         steps = _measured(refinement, steps, errors)
         unconfirmed = [
@@ -224,19 +253,32 @@ def _settled(
             for entry in step.rounds
             if not entry.confirmed
         ]
-        if keep_unconfirmed or not unconfirmed:
-            return steps, taken_out
+        if keep_unconfirmed:
+            break
+        if not unconfirmed:
+            if not places:
+                break
+            # Beside all that stays, another name of what was taken out may hold.
+            next_step = refinement.going_on(steps, places.pop(0))
+            refused += next_step.refused
+            if next_step.step is not None:
+                steps.append(next_step.step)
+            continue
 
         # One at a time: what stands in for another one is confirmed once that is gone.
         number, weakest = min(
             unconfirmed, key=lambda pair: pair[1].held_out_gain or 0.0
         )
         taken_out.append(structs.replace(weakest, reason=_reason_against(weakest)))
+        place = steps[number].in_place_of(weakest)
+        if place is not None:
+            places.append(place)
         later = steps[number + 1 :]
         remainder = steps[number].without(weakest)
         if remainder is not None:
             later = [remainder, *later]
         steps = refinement.fitted_again(steps[:number], later)
+    return _Settled(steps=steps, taken_out=taken_out, refused=refused)
 
 
 def _reason_against(entry: RefinementRound) -> str:
@@ -268,7 +310,13 @@ def _measured(
         models_without = step.beside or (model_before,) * len(step.rounds)
         error_after = errors.of_model(step.model)
         rounds = [
-            _with_gain(entry, errors.of_model(without), error_after, refinement)
+            _with_gain(
+                entry,
+                errors.of_model(without),
+                error_after,
+                refinement,
+                level=_level_after(len(step.refused_names)),
+            )
             for entry, without in zip(step.rounds, models_without, strict=True)
         ]
         measured.append(replace(step, rounds=tuple(rounds)))
@@ -276,11 +324,22 @@ def _measured(
     return measured
 
 
+def _level_after(n_refused: int) -> float:
+    """Return the level at which a gain must be certain after refusals at its place.
+
+    The more names are tried there, the likelier one of them gains by chance: what may
+    be chance is shared among all of them (Bonferroni).
+    """
+    return 1.0 - (1.0 - LEVEL) / (1 + n_refused)
+
+
 def _with_gain(
     entry: RefinementRound,
     error_before: BlockErrors,
     error_after: BlockErrors,
     refinement: Refinement,
+    *,
+    level: float = LEVEL,
 ) -> RefinementRound:
     """Return an effect with what it gains at all joints that it acts on.
 
@@ -290,7 +349,7 @@ def _with_gain(
     robot = refinement.material.robot
     every_joint = list(range(robot.n))
     joints = [robot.joint_names.index(name) for name in entry.acts_on]
-    change = gain(error_before, error_after, joints)
+    change = gain(error_before, error_after, joints, level=level)
     # Stages that are identified anew with an effect may make another joint worse.
     change_of_arm = gain(error_before, error_after, every_joint)
     beyond = gain(error_before, error_after, joints, "beyond")

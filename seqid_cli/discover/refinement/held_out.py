@@ -301,6 +301,8 @@ def gain(
     after: BlockErrors,
     joints: Collection[int],
     part: Part = "deciding",
+    *,
+    level: float = LEVEL,
 ) -> Gain:
     """Compare two models on the same samples at some joints.
 
@@ -316,11 +318,13 @@ def gain(
     part : {"deciding", "beyond"}
         Which samples count: those that decide, which are within the identified friction
         where a joint has enough there; or those beyond that do not decide.
+    level : float
+        That of the interval.
     """
     squares_before, squares_after = _weighed(before, after, joints, part)
     if not squares_before.any():
         return Gain(value=0.0, low=0.0, high=0.0)
-    return gain_of(squares_before, squares_after)
+    return gain_of(squares_before, squares_after, level=level)
 
 
 def likelier(error: BlockErrors, error_of_other: BlockErrors) -> bool:
@@ -386,7 +390,9 @@ def _within_and_beyond(total: Array, beyond: Array, joints: Sequence[int]) -> Ar
     return np.hstack([within, beyond[:, joints]])
 
 
-def gain_of(squares_before: Array, squares_after: Array) -> Gain:
+def gain_of(
+    squares_before: Array, squares_after: Array, *, level: float = LEVEL
+) -> Gain:
     """Return the share of the squared error that a model takes away.
 
     Of a single block the interval is everything.
@@ -395,6 +401,8 @@ def gain_of(squares_before: Array, squares_after: Array) -> Gain:
     ----------
     squares_before, squares_after : (B,) arrays
         Squared errors of two models on the same blocks, in any unit.
+    level : float
+        That of the interval.
     """
     is_used = (squares_before > 0.0) | (squares_after > 0.0)
     before = squares_before[is_used]
@@ -404,21 +412,21 @@ def gain_of(squares_before: Array, squares_after: Array) -> Gain:
 
     # Blocks are joined while enough are left, and the widest interval counts.
     difference = after - ratio * before
-    half_width = _half_width(difference) / total
+    half_width = _half_width(difference, level) / total
     while len(difference) >= 2 * FEWEST_BLOCKS:
         pair_starts = np.arange(0, len(difference) - 1, 2)
         difference = np.add.reduceat(difference, pair_starts)
-        half_width = max(half_width, _half_width(difference) / total)
+        half_width = max(half_width, _half_width(difference, level) / total)
 
     value = 1.0 - ratio
     return Gain(value=value, low=value - half_width, high=value + half_width)
 
 
-def _half_width(difference: Array) -> float:
+def _half_width(difference: Array, level: float) -> float:
     """Return half the interval of a sum of independent values (B,) about zero."""
     count = len(difference)
     if count < 2:
         return float("inf")
-    quantile = float(student_t.ppf(0.5 + 0.5 * LEVEL, count - 1))
+    quantile = float(student_t.ppf(0.5 + 0.5 * level, count - 1))
     variance = count / (count - 1) * np.sum(difference**2)
     return quantile * float(np.sqrt(variance))

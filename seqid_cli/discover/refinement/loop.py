@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement import held_out
@@ -38,6 +39,25 @@ from seqid_cli.shares import percent
 FEWEST_OF_BODY = 2  # joints that a body at the flange, or a leaning base, must move
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
+NOT_BETTER = "the model identified anew with it is not certainly better"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NextName:
+    """An effect to go on with if held-out logs refuse one that explains the same.
+
+    It was chosen before any held-out log is opened.
+
+    Attributes
+    ----------
+    entry : RefinementRound
+        What the logs to fit say of it.
+    effect : Candidate
+        The effect.
+    """
+
+    entry: RefinementRound
+    effect: Candidate
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,6 +81,10 @@ class Step:
     beside : tuple of Refitted
         Of several effects, in the same order, the model with the others of the round
         alone.
+    next_names : tuple of sequence of NextName
+        By effect, what is to be tried in its place if it is not confirmed.
+    refused_names : tuple of str
+        Other names of what it explains, that the held-out logs have refused.
     """
 
     rounds: tuple[RefinementRound, ...]
@@ -69,6 +93,8 @@ class Step:
     keeps_stages: bool
     model: Refitted
     beside: tuple[Refitted, ...] = ()
+    next_names: tuple[Sequence[NextName], ...] = ()
+    refused_names: tuple[str, ...] = ()
 
     @property
     def models(self) -> tuple[Refitted, ...]:
@@ -90,6 +116,22 @@ class Step:
             self,
             rounds=tuple(self.rounds[number] for number in staying),
             effects=tuple(self.effects[number] for number in staying),
+            next_names=tuple(self.next_names[number] for number in staying)
+            if self.next_names
+            else (),
+        )
+
+    def in_place_of(self, removed: RefinementRound) -> PlaceToFill | None:
+        """Return what goes on in the place of one of its effects; None of a smooth."""
+        if self.smooth is not None or not self.next_names:
+            return None
+        number = next(
+            number for number, entry in enumerate(self.rounds) if entry is removed
+        )
+        return PlaceToFill(
+            names=tuple(self.next_names[number]),
+            keeps_stages=self.keeps_stages,
+            refused_names=(*self.refused_names, removed.effect),
         )
 
     def again(self, material: RefinementData, model_before: Refitted) -> Step:
@@ -121,6 +163,40 @@ class Step:
                 staying = [effect for effect in self.effects if effect is not removed]
                 beside.append(fitted(staying))
         return replace(self, model=model, beside=tuple(beside))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceToFill:
+    """A place at which the held-out logs have refused an effect.
+
+    Attributes
+    ----------
+    names : tuple of NextName
+        What else it may be, in the order in which it is tried.
+    keeps_stages : bool
+        The stages stay as they are in the fit.
+    refused_names : tuple of str
+        What the held-out logs have refused there.
+    """
+
+    names: tuple[NextName, ...]
+    keeps_stages: bool
+    refused_names: tuple[str, ...]
+
+
+class NextStep(NamedTuple):
+    """What goes on in a place, and what the logs to fit refuse there.
+
+    Attributes
+    ----------
+    step : Step or None
+        None where no name is left.
+    refused : list of RefinementRound
+        Names that are not worth it beside the model as it stands.
+    """
+
+    step: Step | None
+    refused: list[RefinementRound]
 
 
 @dataclass(kw_only=True)
@@ -213,6 +289,59 @@ class Refinement:
             path.append(step.again(self.material, model_before))
         return path
 
+    def going_on(self, steps: Sequence[Step], place: PlaceToFill) -> NextStep:
+        """Return a step by the next name of what held-out logs have refused.
+
+        The logs to fit must be fitted better with it, as in every round.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            What stays.
+        place : PlaceToFill
+            The place.
+        """
+        model_before = steps[-1].model if steps else self.incoming_model
+        options = self.material.selection_options
+        names = self.material.robot.joint_names
+        refused: list[RefinementRound] = []
+        for number, name in enumerate(place.names):
+            in_model = model_before.candidates
+            if any(name.effect.is_same_as(effect) for effect in in_model):
+                continue
+            model = refitted(
+                self.material,
+                model_before,
+                (*in_model, name.effect),
+                kept=place.keeps_stages,
+            )
+            entry = structs.replace(
+                name.entry,
+                round=self.added + 1,
+                after_refusal_of=[*place.refused_names],
+            )
+            step = Step(
+                rounds=(entry,),
+                effects=(name.effect,),
+                keeps_stages=place.keeps_stages,
+                model=model,
+                next_names=(place.names[number + 1 :],),
+                refused_names=place.refused_names,
+            )
+            without = model_before if steps else self.without([step])
+            error_before = self.error_of(without)
+            error_after = self.error_of(model)
+            joints = [names.index(joint) for joint in entry.acts_on]
+            change = gain(error_before, error_after, joints)
+            chance_probability = doubt(error_before, error_after, joints)
+            is_enough = change.value >= options.improvement
+            if is_enough and chance_probability <= options.alpha:
+                return NextStep(step, refused)
+            refused.append(
+                structs.replace(entry, round=None, accepted=False, reason=NOT_BETTER)
+            )
+        return NextStep(None, refused)
+
     def error_of(self, model: Refitted) -> BlockErrors:
         """Return squared errors of a model on the logs that are fitted."""
         if model not in self._training_errors:
@@ -298,7 +427,7 @@ class Judgement:
         if self.is_unjudged and not self.gains:
             return "lies above the low-pass, where the model is not judged"
         if not self.gains:
-            return "the model identified anew with it is not certainly better"
+            return NOT_BETTER
         if not self.is_likely:
             return "is less likely than not"
         if not self.is_shown:

@@ -7,6 +7,8 @@ its own gain, is refused, with that reason. Held-out logs play no part in this: 
 they say of the result is in `confirm`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -21,7 +23,8 @@ from seqid_cli.discover.investigate import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.across_logs import (
-    FEWEST_LOGS,
+    AcrossLogs,
+    NamesAcrossLogs,
     ResultAcrossLogs,
     across_logs,
 )
@@ -31,6 +34,7 @@ from seqid_cli.discover.refinement.loop import (
     LATE,
     CandidateModel,
     Decision,
+    NextName,
     Refinement,
     Refusal,
     Step,
@@ -48,16 +52,16 @@ from seqid_cli.discover.survey.events import Interval
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.effects.units import UNEXPLAINED
 from seqid_cli.identify.prediction.predict import slides_from
-from seqid_cli.logs.recording import Recording, by_log
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import EffectOfPlace, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.working import step
 
-NOT_PROVEN = (
-    "fewer than three logs to fit: what is added cannot be proven on them, as blocks of"
-    " one log are no other logs; only the held-out logs can"
+NOT_PROMISED = (
+    "no gain on another log is promised of {effects}: the logs to fit that show it are"
+    " too few for that, or too unlike; only the held-out logs can confirm it"
 )
 
 
@@ -127,9 +131,21 @@ def refine(
             _add_smooth(loop, investigation)
     for joint, name in enumerate(robot.joint_names):
         loop.tried[name] = tried_at(investigation, robot, joint)
-    if loop.steps and len(by_log(training)) < FEWEST_LOGS:
-        loop.notes = (*loop.notes, NOT_PROVEN)
+    loop.notes = (*loop.notes, *_not_promised_note(loop))
     return loop
+
+
+def _not_promised_note(loop: Refinement) -> tuple[str, ...]:
+    """Say of which effects the logs to fit do not tell what another log will gain."""
+    places = [
+        f"{entry.effect} at {entry.joint or 'the whole arm'}"
+        for step_of_loop in loop.steps
+        for entry in step_of_loop.rounds
+        if not entry.promised
+    ]
+    if not places:
+        return ()
+    return (NOT_PROMISED.format(effects=", ".join(places)),)
 
 
 def _material_to_fit(
@@ -187,33 +203,23 @@ def on_the_same_samples(
 def _add_effects(loop: Refinement, investigation: Investigation) -> Investigation:
     """Try the effects that are found, the largest evidence first.
 
-    The same effect at several joints is one hypothesis and one round. What the stages
-    had taken in of one that is added looks like a second effect, until they are
-    identified without it: then the rest are judged anew. Before what is small, more is
-    looked for, and so it is where a search ended because it may take no more terms.
-    What lies above the low-pass at one setting is not tried at another.
+    The same effect at several joints is one hypothesis and one round. A finding whose
+    name is refused goes by the next name that explains half as much, until none is
+    left. What the stages had taken in of one that is added looks like a second effect,
+    until they are identified without it: then the rest are judged anew. Before what is
+    small, more is looked for, and so it is where a search ended because it may take no
+    more terms. What lies above the low-pass at one setting is not tried at another.
 
     Returns
     -------
     Investigation
         The last one.
     """
-    tried: list[Candidate] = []
-    unjudged_keys: set[Key] = set()
+    findings = _Findings(loop, investigation)
     waiting = [effect_of(result) for result in investigation.selection.effects]
     is_complete = True
-    found = _found(loop, investigation)
-    while True:
-        # What is found, and is neither in the model nor has been tried.
-        earlier_effects = [*loop.model.candidates, *tried]
-        new_results = [
-            result
-            for result in found
-            if effect_of(result).key not in unjudged_keys
-            and not _is_among(effect_of(result), earlier_effects)
-        ]
-        if not new_results:
-            break
+    new_results = findings.untried()
+    while new_results:
         if loop.stopped:
             new_effects = [effect_of(result) for result in new_results]
             loop.untried = [
@@ -228,22 +234,27 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         n_left = max(len(new_results), len(waiting))
         step("trying effects", loop.added, loop.added + n_left)
         hypothesis = _one_hypothesis(new_results)
-        tried += [effect_of(result) for result in hypothesis]
+        stages_before = loop.model.stages
+        decision = _decided(loop, investigation, hypothesis)
+        findings.judge(hypothesis, decision)
+        _write(loop, investigation, decision, findings)
+        next_results = findings.untried()
+
+        # What is tried waits no more, nor what it stood for; the next name does.
         replaced = [
             result.instead_of.what
             for result in hypothesis
             if isinstance(result.instead_of.what, Candidate)
         ]
+        settled = [*findings.tried, *replaced]
         waiting = [
-            effect for effect in waiting if not _is_among(effect, [*tried, *replaced])
+            *(effect for effect in waiting if not _is_among(effect, settled)),
+            *(
+                effect_of(result)
+                for result in next_results
+                if not _is_among(effect_of(result), waiting)
+            ),
         ]
-        stages_before = loop.model.stages
-        decision = _decided(loop, investigation, hypothesis)
-        for refusal in decision.refused:
-            judgement = refusal.judgement
-            if judgement and judgement.is_unjudged and not judgement.gains:
-                unjudged_keys.add(effect_of(refusal.result).key)
-        _write(loop, investigation, decision)
 
         # More is looked for where the stages have changed, or the search had ended
         # before its time.
@@ -251,9 +262,8 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         is_full = (
             bool(decision.candidate_model.effects) and n_terms >= Options.max_terms
         )
-        was_last = len(new_results) == len(hypothesis)
         if loop.model.stages is not stages_before or (
-            was_last and (is_full or not is_complete)
+            not next_results and (is_full or not is_complete)
         ):
             investigation, is_complete = investigate_beside(
                 investigation,
@@ -263,22 +273,137 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 loop.material.options,
                 candidates=waiting,
             )
-            found = _found(loop, investigation)
+            findings = _Findings(loop, investigation, after=findings)
+            next_results = findings.untried()
             if is_complete:
                 waiting = [
                     effect_of(result) for result in investigation.selection.effects
                 ]
+        new_results = next_results
     return investigation
 
 
-def _found(
-    loop: Refinement, investigation: Investigation
-) -> tuple[ResultAcrossLogs, ...]:
-    """Return the effects that are found, each as whole logs speak for it."""
-    return tuple(
-        across_logs(result, investigation.logs, loop.material.selection_options)
-        for result in investigation.selection.effects
-    )
+class _Findings:
+    """What an investigation finds, each by the first of its names that is not refused.
+
+    Parameters
+    ----------
+    loop : Refinement
+        The refinement as it stands.
+    investigation : Investigation
+        The investigation.
+    after : _Findings, optional
+        Those of the investigation before: what was tried then is not tried again.
+
+    Attributes
+    ----------
+    tried : list of Candidate
+        What was tried, added or refused.
+    """
+
+    def __init__(
+        self,
+        loop: Refinement,
+        investigation: Investigation,
+        *,
+        after: _Findings | None = None,
+    ) -> None:
+        self._loop = loop
+        self._names = [
+            NamesAcrossLogs(result, investigation.logs, loop.material.selection_options)
+            for result in investigation.selection.effects
+        ]
+        self.tried: list[Candidate] = after.tried if after else []
+        # What lies above the low-pass at one setting, whatever the other settings.
+        self._unjudged_keys: set[Key] = after._unjudged_keys if after else set()
+
+    def untried(self) -> list[ResultAcrossLogs]:
+        """Return what is found, and is neither in the model nor refused.
+
+        Of a finding whose name is refused it is the next name.
+        """
+        likeliest = [names.likeliest(self._is_refused) for names in self._names]
+        model_effects = self._loop.model.candidates
+        return [
+            result
+            for result in likeliest
+            if result is not None and not _is_among(effect_of(result), model_effects)
+        ]
+
+    def judge(self, hypothesis: Sequence[ResultAcrossLogs], decision: Decision) -> None:
+        """Remember what was tried, and what cannot be judged at any setting."""
+        self.tried += [effect_of(result) for result in hypothesis]
+        for refusal in decision.refused:
+            judgement = refusal.judgement
+            if judgement and judgement.is_unjudged and not judgement.gains:
+                self._unjudged_keys.add(effect_of(refusal.result).key)
+
+    def refused_before(self, result: TermResult) -> list[str]:
+        """Return the names of a finding that were refused before this one."""
+        if not isinstance(result, ResultAcrossLogs):
+            return []
+        rivals = [rival.term.what for rival in result.rivals]
+        effects = [what for what in rivals if isinstance(what, Candidate)]
+        own = effect_of(result)
+        names = [
+            effect.effect.name
+            for effect in self.tried
+            if effect.joint == own.joint
+            and self._is_refused(effect)
+            and _is_among(effect, effects)
+            and not effect.is_same_as(own)
+        ]
+        return list(dict.fromkeys(names))
+
+    def next_names(self, result: TermResult, reason: str) -> list[NextName]:
+        """Return what to go on with in the place of a finding, in its order.
+
+        Parameters
+        ----------
+        result : TermResult
+            The finding by the name that is added.
+        reason : str
+            When it came.
+        """
+        assert isinstance(result, ResultAcrossLogs)
+        loop = self._loop
+        robot = loop.material.robot
+        scenes = loop.material.ground(loop.model).stage.scenes
+        is_late = reason == LATE
+        next_names = []
+        for names in self._names:
+            if names.result.term is not result.instead_of:
+                continue
+            for scored in names.following(result, self._is_refused):
+                term = scored.term
+                effect = term.what
+                assert isinstance(effect, Candidate)
+                is_shown = effect.effect.shows(scenes, effect.joint, effect.settings)
+                if not is_shown or effect.effect.lacking(robot, effect.joint):
+                    continue
+                across = names.across(scored)
+                entry = RefinementRound(
+                    effect=term.name,
+                    joint=robot.name_of(term.joint),
+                    acts_on=[
+                        robot.joint_names[joint]
+                        for joint in joints_below(term.channels, robot.n)
+                    ],
+                    reason=reason,
+                    training_gain=scored.score.share,
+                    training_interval=list(scored.score.interval),
+                )
+                if is_late:
+                    effect = replace(effect, absorbed="", late=True)
+                next_names.append(
+                    NextName(entry=_with_logs(entry, across), effect=effect)
+                )
+        return next_names
+
+    def _is_refused(self, effect: Candidate) -> bool:
+        is_in_model = _is_among(effect, self._loop.model.candidates)
+        was_tried = _is_among(effect, self.tried)
+        return effect.key in self._unjudged_keys or (was_tried and not is_in_model)
 
 
 def _is_among(effect: Candidate, candidates: Sequence[Candidate]) -> bool:
@@ -315,16 +440,24 @@ def _each_once(effects: Sequence[Candidate]) -> list[Candidate]:
     return different
 
 
-def _write(loop: Refinement, investigation: Investigation, decision: Decision) -> None:
+def _write(
+    loop: Refinement,
+    investigation: Investigation,
+    decision: Decision,
+    findings: _Findings,
+) -> None:
     """Write down what a round has added and what it has refused."""
+
+    def told(result: TermResult, reason: str, number: int | None) -> RefinementRound:
+        entry = _round(loop, investigation, result, number=number, reason=reason)
+        names = findings.refused_before(result)
+        return msgspec.structs.replace(entry, after_refusal_of=names)
+
     added = decision.candidate_model
     if added.effects:
         reason = LATE if added.keeps_stages else ALL_ALONG
         number = loop.added + 1
-        entries = [
-            _round(loop, investigation, result, number=number, reason=reason)
-            for result in added.results
-        ]
+        entries = [told(result, reason, number) for result in added.results]
         beside: list[Refitted] = []
         if len(added.effects) > 1:
             beside = [without.model for without in added.without_each]
@@ -335,11 +468,13 @@ def _write(loop: Refinement, investigation: Investigation, decision: Decision) -
                 keeps_stages=added.keeps_stages,
                 model=added.model,
                 beside=tuple(beside),
+                next_names=tuple(
+                    findings.next_names(result, reason) for result in added.results
+                ),
             )
         )
     for refusal in decision.refused:
-        entry = _round(loop, investigation, refusal.result, reason=refusal.reason)
-        loop.refused.append(entry)
+        loop.refused.append(told(refusal.result, refusal.reason, None))
 
 
 def quiet(
@@ -485,10 +620,7 @@ def _round(
     term = result.term
     change = _training_gain(result)
     likely_names = () if term.smooth else named(result).others
-    across = None
-    if isinstance(result, ResultAcrossLogs) and len(result.across.names) > 1:
-        across = result.across
-    return RefinementRound(
+    entry = RefinementRound(
         effect=UNEXPLAINED if term.smooth else term.name,
         joint=robot.name_of(term.joint),
         acts_on=[
@@ -498,12 +630,25 @@ def _round(
         accepted=number is not None,
         training_gain=change.value,
         training_interval=change.limits,
-        whole_logs_gain=None if across is None else across.gain.value,
-        whole_logs_interval=[] if across is None else across.gain.limits,
-        gain_by_log={} if across is None else across.of_each,
         reason=reason,
         evidence=evidence_of(investigation, robot, result),
         rivals=rivals_of(robot, result, likely_names),
+    )
+    if isinstance(result, ResultAcrossLogs):
+        return _with_logs(entry, result.across)
+    return entry
+
+
+def _with_logs(entry: RefinementRound, across: AcrossLogs) -> RefinementRound:
+    """Return what was tried with what whole logs say of it, if there are several."""
+    if len(across.names) < 2:
+        return entry
+    return msgspec.structs.replace(
+        entry,
+        whole_logs_gain=across.gain.value,
+        whole_logs_interval=across.of_another_log.limits,
+        gain_by_log=across.of_each,
+        promised=across.is_promised,
     )
 
 

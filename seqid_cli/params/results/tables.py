@@ -261,7 +261,7 @@ def rounds(loop: ClosedLoop) -> Values:
             item.effect,
             item.joint or "whole arm",
             item.training_gain,
-            item.training_interval,
+            item.whole_logs_interval,
             item.held_out_gain,
             item.interval,
         ]
@@ -273,7 +273,7 @@ def rounds(loop: ClosedLoop) -> Values:
         Head("effect", "effect"),
         Head("joint", "text"),
         Head("gain left out", "share"),
-        Head("95 % interval", "shares"),
+        Head("of another log, 95 %", "shares"),
         Head("gain held out", "share"),
         Head("95 % interval", "shares"),
     ]

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.refinement import across_logs as across
-from seqid_cli.discover.refinement.across_logs import AcrossLogs, across_logs
+from seqid_cli.discover.refinement.across_logs import (
+    AcrossLogs,
+    NamesAcrossLogs,
+    across_logs,
+)
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.effects.scene import Scene
@@ -137,3 +141,69 @@ def test_gain_interval_and_each_log_must_speak_for_it(
         predicted=np.array(predicted),
     )
     assert logs.is_proven(0.04) is proven
+
+
+@pytest.mark.parametrize("logs", [1, 3])
+def test_after_a_refusal_the_next_name_is_asked(logs: int) -> None:
+    """A drag is a power of the speed as well, and is no spring."""
+    effects = ("nonlinear_viscous", "quadratic_drag", "spring")
+    result = only_term(at_joint(0, drag), logs=logs, effects=effects)
+    names = NamesAcrossLogs(result, named_logs(logs), Options())
+    refused: set[str] = set()
+    found = []
+    while True:
+        likeliest = names.likeliest(lambda effect: effect.effect.name in refused)
+        if likeliest is None:
+            break
+        found.append(likeliest.term.name)
+        refused.add(likeliest.term.name)
+        assert likeliest.term in likeliest.model.terms
+    assert found[0] == result.term.name
+    assert set(found) == {"nonlinear_viscous", "quadratic_drag"}
+
+
+def test_what_another_log_gains_is_less_sure_than_what_these_gain() -> None:
+    """Student's t with one degree of freedom less than logs, and one log more."""
+
+    def promised(*after: float) -> AcrossLogs:
+        count = len(after)
+        return AcrossLogs(
+            names=tuple(map(str, range(count))),
+            before=np.ones(count),
+            after=np.array(after),
+            predicted=np.full(count, 0.3),
+        )
+
+    alike = promised(0.5, 0.52, 0.48, 0.5)
+    assert alike.of_another_log.value == pytest.approx(0.5)
+    assert alike.of_another_log.low < alike.gain.low
+    assert alike.is_promised
+
+    unlike = promised(0.6, 0.65, 0.96)
+    assert unlike.is_proven(0.04)
+    assert not unlike.is_promised
+
+    alone = promised(0.1)
+    assert alone.of_another_log.limits == []
+    assert not alone.is_promised
+
+
+def test_the_gain_of_another_log_is_within_its_interval() -> None:
+    """Of logs that differ at random, whatever their number."""
+    rng = np.random.default_rng(11)
+    for count in (2, 3, 6):
+        draws = 1500
+        within = 0
+        for _ in range(draws):
+            before = rng.uniform(0.8, 1.2, count + 1)
+            after = before * rng.normal(0.6, 0.15, count + 1)
+            logs = AcrossLogs(
+                names=tuple(map(str, range(count))),
+                before=before[:-1],
+                after=after[:-1],
+                predicted=before[:-1],
+            )
+            expected = logs.of_another_log
+            gain = 1.0 - after[-1] / before[-1]
+            within += expected.low <= gain <= expected.high
+        assert 0.93 <= within / draws <= 0.985

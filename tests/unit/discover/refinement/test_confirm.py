@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +12,13 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import confirm as confirming
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import BlockErrors, held_out_error
-from seqid_cli.discover.refinement.loop import Step, with_effects
+from seqid_cli.discover.refinement.loop import (
+    NextName,
+    NextStep,
+    PlaceToFill,
+    Step,
+    with_effects,
+)
 from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from seqid_cli.discover.select.smooth import smooth_functions
@@ -127,6 +133,8 @@ class Path:
 
     steps: list[Step]
     fitted: list[tuple[str, ...]] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    not_worth_it: tuple[str, ...] = ()  # by the logs to fit
     incoming_stages = frozenset[str]()
     material = SimpleNamespace(robot=SimpleNamespace(n=1, joint_names=("joint",)))
 
@@ -141,6 +149,19 @@ class Path:
             self.fitted.append(tuple(sorted(names)))
             again.append(step_of(*(told.effect for told in step.rounds), before=before))
         return again
+
+    def going_on(self, steps: list[Step], place: PlaceToFill) -> NextStep:
+        before = steps[-1].model if steps else frozenset[str]()
+        refused = []
+        for number, name in enumerate(place.names):
+            if name.entry.effect in self.not_worth_it:
+                refused.append(name.entry)
+                continue
+            step = step_of(name.entry.effect, before=before)
+            rest = (place.names[number + 1 :],)
+            step = replace(step, next_names=rest, refused_names=place.refused_names)
+            return NextStep(step, refused)
+        return NextStep(None, refused)
 
 
 def step_of(*names: str, before: frozenset[str] = frozenset()) -> Step:
@@ -170,10 +191,11 @@ class Errors:
 def settled(path: Path, errors: dict[str, float]) -> tuple[list[str], list[str]]:
     """Return the effects that stay and those taken out; errors by a model's effects."""
     by_model = {frozenset(names): error for names, error in errors.items()}
-    steps, gone = confirming._settled(path, Errors(by_model), keep_unconfirmed=False)
-    stay = [told.effect for step in steps for told in step.rounds]
-    assert all(told.confirmed for step in steps for told in step.rounds)
-    return stay, [told.effect for told in gone]
+    done = confirming._settled(path, Errors(by_model), keep_unconfirmed=False)
+    entries = [told for step in done.steps for told in step.rounds]
+    assert all(told.confirmed for told in entries)
+    path.refused = [told.effect for told in done.refused]
+    return [told.effect for told in entries], [told.effect for told in done.taken_out]
 
 
 def path_of(*rounds: str) -> Path:
@@ -205,6 +227,51 @@ def test_what_stood_on_something_that_is_gone_may_go_as_well() -> None:
     path = path_of("a", "b", "c")
     errors = {"": 1.0, "a": 0.5, "ab": 0.6, "abc": 0.3, "ac": 0.55}
     assert settled(path, errors) == (["a"], ["b", "c"])
+
+
+def with_next_names(path: Path, *names: str) -> Path:
+    """Return a path whose last effect goes on by other names."""
+    *first, last = path.steps
+    next_names = tuple(
+        NextName(
+            entry=RefinementRound(effect=name, joint="joint", acts_on=["joint"]),
+            effect=None,
+        )
+        for name in names
+    )
+    return Path([*first, replace(last, next_names=(next_names,))])
+
+
+def test_the_next_name_is_tried_where_held_out_logs_refuse_one() -> None:
+    """b stands for c, which is its next name but one; d is not asked any more."""
+    path = with_next_names(path_of("a", "b"), "e", "c", "d")
+    path.not_worth_it = ("e",)
+    errors = {"": 1.0, "a": 0.5, "ab": 0.6, "ac": 0.3}
+    assert settled(path, errors) == (["a", "c"], ["b"])
+    assert path.refused == ["e"]
+
+
+def test_names_are_tried_until_none_is_left() -> None:
+    path = with_next_names(path_of("a", "b"), "c", "d")
+    errors = {"": 1.0, "a": 0.5, "ab": 0.6, "ac": 0.5, "ad": 0.7}
+    assert settled(path, errors) == (["a"], ["b", "c", "d"])
+
+
+def test_a_name_that_follows_others_must_be_surer() -> None:
+    """What is certain at one of twenty by chance is not, of twenty that are tried."""
+    rng = np.random.default_rng(5)
+    robot = SimpleNamespace(n=1, joint_names=("joint",))
+    refinement = SimpleNamespace(material=SimpleNamespace(robot=robot))
+    before = BlockErrors(SAMPLES, SAMPLES, NONE, NONE)
+    after = before._replace(squares=SAMPLES * rng.normal(0.9, 0.16, (16, 1)))
+    entry = RefinementRound(effect="a", joint="joint", acts_on=["joint"])
+    confirmed = [
+        confirming._with_gain(
+            entry, before, after, refinement, level=confirming._level_after(n_refused)
+        ).confirmed
+        for n_refused in (0, 3)
+    ]
+    assert confirmed == [True, False]
 
 
 @pytest.mark.parametrize(("other", "confirmed"), [(1.1, True), (1.6, False)])

@@ -191,7 +191,8 @@ class NamesAcrossLogs:
 
     Blocks that lie between others tell a law from waves that follow it there by little.
     Logs of other motions do: so rivals that explain half as much are asked as well. A
-    smooth function has no rivals: it is tried where no effect explains.
+    smooth function is no name: where it follows the residual a little better than all
+    effects do, its names are those of the effects.
 
     Parameters
     ----------
@@ -253,18 +254,14 @@ class NamesAcrossLogs:
         ResultAcrossLogs or None
             None where every name that explains half as much is refused or disproved.
         """
-        result = self.result
-        first = result.scored
-        if result.term.smooth:
-            return _with_logs(result, self.across(first), result.term)
-
+        first = self.result.scored
         min_gain = self._options.improvement
-        names = [first, *_near_rivals(result, is_refused)]
-        if is_refused(_candidate_of(first)):
+        names = [first, *_near_rivals(self.result, is_refused)]
+        if _is_smooth_or(is_refused, first):
             names = [each for each in names[1:] if not self._is_disproved(each)]
             if not names:
                 return None
-        if not self.across(first).is_enough:
+        if not self.across(names[0]).is_enough:
             # What blocks say is all that there is: the largest gain comes first.
             return self._by_name(names[0])
 
@@ -289,7 +286,7 @@ class NamesAcrossLogs:
     ) -> list[ScoredTerm]:
         """Return the names to go on with if this one is refused, in their order.
 
-        Whole logs prove them, or do not disprove them where they can prove nothing.
+        Whole logs do not disprove them.
 
         Parameters
         ----------
@@ -298,15 +295,11 @@ class NamesAcrossLogs:
         is_refused : callable
             Whether an effect was tried and refused.
         """
-        first = self.result.scored
         others = [
             each
-            for each in (first, *_near_rivals(self.result, is_refused))
-            if each.term is not result.term and not is_refused(_candidate_of(each))
+            for each in (self.result.scored, *_near_rivals(self.result, is_refused))
+            if each.term is not result.term and not _is_smooth_or(is_refused, each)
         ]
-        if self.across(first).is_enough:
-            min_gain = self._options.improvement
-            return [each for each in others if self.across(each).is_proven(min_gain)]
         return [each for each in others if not self._is_disproved(each)]
 
     def _is_disproved(self, scored: ScoredTerm) -> bool:
@@ -327,6 +320,8 @@ def across_logs(
 ) -> ResultAcrossLogs:
     """Return the term, or the rival of it that predicts whole logs best.
 
+    A smooth function is tried where no effect explains, and has no rivals then.
+
     Parameters
     ----------
     result : TermResult
@@ -336,7 +331,10 @@ def across_logs(
     options : Options
         What decides.
     """
-    likeliest = NamesAcrossLogs(result, recordings, options).likeliest()
+    names = NamesAcrossLogs(result, recordings, options)
+    if result.term.smooth:
+        return _with_logs(result, names.across(result.scored), result.term)
+    likeliest = names.likeliest()
     assert likeliest is not None  # nothing is refused
     return likeliest
 
@@ -349,10 +347,10 @@ def _with_logs(
     return ResultAcrossLogs(**of_result, across=across, instead_of=instead_of)
 
 
-def _candidate_of(scored: ScoredTerm) -> Candidate:
-    """Return the effect that a term is."""
-    assert isinstance(scored.term.what, Candidate)
-    return scored.term.what
+def _is_smooth_or(is_refused: Callable[[Candidate], bool], scored: ScoredTerm) -> bool:
+    """Return whether a term is no effect, or a refused one."""
+    what = scored.term.what
+    return not isinstance(what, Candidate) or is_refused(what)
 
 
 def _near_rivals(
@@ -366,11 +364,10 @@ def _near_rivals(
     rivals = [
         rival
         for rival in result.rivals
-        if not rival.term.smooth
-        and rival.term is not result.term
+        if rival.term is not result.term
         and rival.term.joint == result.term.joint
         and rival.score.total >= least
-        and not is_refused(_candidate_of(rival))
+        and not _is_smooth_or(is_refused, rival)
     ]
     return rivals[:MOST_RIVALS]
 

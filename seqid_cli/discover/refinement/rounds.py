@@ -123,8 +123,7 @@ def refine(
     investigation = investigate(
         material.now(incoming_model), robot, file.stages, options, least=0.0
     )
-    selection = investigation.selection
-    if selection.effects or (options.with_unexplained and selection.smooth):
+    if investigation.selection.terms:
         loop.material = _material_to_fit(material, investigation, incoming_model)
         investigation = _add_effects(loop, investigation)
         if options.with_unexplained:
@@ -205,10 +204,11 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
 
     The same effect at several joints is one hypothesis and one round. A finding whose
     name is refused goes by the next name that explains half as much, until none is
-    left. What the stages had taken in of one that is added looks like a second effect,
-    until they are identified without it: then the rest are judged anew. Before what is
-    small, more is looked for, and so it is where a search ended because it may take no
-    more terms. What lies above the low-pass at one setting is not tried at another.
+    left; so does a smooth function, which is no name. What the stages had taken in of
+    one that is added looks like a second effect, until they are identified without it:
+    then the rest are judged anew. Before what is small, more is looked for, and so it
+    is where a search ended because it may take no more terms. What lies above the
+    low-pass at one setting is not tried at another.
 
     Returns
     -------
@@ -216,9 +216,9 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         The last one.
     """
     findings = _Findings(loop, investigation)
-    waiting = [effect_of(result) for result in investigation.selection.effects]
-    is_complete = True
     new_results = findings.untried()
+    waiting = _waiting(investigation, new_results)
+    is_complete = True
     while new_results:
         if loop.stopped:
             new_effects = [effect_of(result) for result in new_results]
@@ -276,11 +276,17 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
             findings = _Findings(loop, investigation, after=findings)
             next_results = findings.untried()
             if is_complete:
-                waiting = [
-                    effect_of(result) for result in investigation.selection.effects
-                ]
+                waiting = _waiting(investigation, next_results)
         new_results = next_results
     return investigation
+
+
+def _waiting(
+    investigation: Investigation, results: Sequence[ResultAcrossLogs]
+) -> list[Candidate]:
+    """Return the effects of a selection, and those that stand for its terms."""
+    found = [*investigation.selection.effects, *results]
+    return _each_once([effect_of(result) for result in found])
 
 
 class _Findings:
@@ -311,7 +317,7 @@ class _Findings:
         self._loop = loop
         self._names = [
             NamesAcrossLogs(result, investigation.logs, loop.material.selection_options)
-            for result in investigation.selection.effects
+            for result in investigation.selection.terms
         ]
         self.tried: list[Candidate] = after.tried if after else []
         # What lies above the low-pass at one setting, whatever the other settings.

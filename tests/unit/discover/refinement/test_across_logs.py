@@ -207,3 +207,24 @@ def test_the_gain_of_another_log_is_within_its_interval() -> None:
             gain = 1.0 - after[-1] / before[-1]
             within += expected.low <= gain <= expected.high
         assert 0.93 <= within / draws <= 0.985
+
+
+def test_what_a_smooth_function_follows_is_tried_by_the_name_of_an_effect() -> None:
+    """A drag with a hump that no law has: a smooth function follows both."""
+
+    def drag_with_hump(scene: Scene) -> Array:
+        v = np.abs(scene.motion.dq[:, 0])
+        hump = 0.25 * np.exp(-(((v - 0.4) / 0.12) ** 2))
+        return drag(scene) / 3.0 + hump * scene.sign[:, 0]
+
+    result = only_term(at_joint(0, drag_with_hump), logs=3, effects=SOME)
+    assert result.term.smooth
+    assert across_logs(result, named_logs(3), Options()).term.smooth
+
+    names = NamesAcrossLogs(result, named_logs(3), Options())
+    likeliest = names.likeliest()
+    assert likeliest is not None
+    assert likeliest.term.name == "quadratic_drag"
+    assert likeliest.instead_of is result.term
+    assert likeliest.across.is_proven(Options().improvement)
+    assert names.likeliest(lambda _: True) is None

@@ -22,6 +22,7 @@ from seqid_cli.effects.effect import (
     Columns,
     Effect,
     Settings,
+    acts_in_log,
 )
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import single
@@ -261,6 +262,15 @@ class CandidateColumns:
         self._computed: dict[tuple[object, ...], Channels] = {}
         self._computed_on_links: dict[tuple[object, ...], Channels] = {}
 
+    def forget(self) -> None:
+        """Let go of the columns of all candidates: a search leaves thousands of them.
+
+        What is asked for again is worked out again.
+        """
+        self._computed.clear()
+        self._computed_on_links.clear()
+        self.known.clear()
+
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Return columns of candidates on the rows of the joints that they touch."""
         # What the file has absorbed makes no difference to the columns.
@@ -363,7 +373,7 @@ class CandidateColumns:
         n_columns: dict[int, dict[int, int]] = {}
 
         def side_by_side(scene: Scene) -> dict[int, Array]:
-            of_candidates = [candidate.columns(scene) for candidate in candidates]
+            of_candidates = _columns_in_log(candidates, scene)
             joints = {joint for columns in of_candidates for joint in columns}
             stacked = {}
             for joint in sorted(joints):
@@ -417,6 +427,29 @@ class CandidateColumns:
             if joint < self.rows.n
         }
         return absorbed, {**columns, **beside_file}
+
+
+def _columns_in_log(
+    candidates: Sequence[Candidate], scene: Scene
+) -> list[dict[int, Array]]:
+    """Return the unfiltered columns of candidates in a log, by joint.
+
+    Those that differ only in the log from which on they are there are worked out once.
+    """
+    columns_of: dict[tuple[object, ...], Columns] = {}
+    in_log: list[dict[int, Array]] = []
+    for candidate in candidates:
+        settings = candidate.settings
+        in_all_logs = {name: settings[name] for name in settings if name != FROM_LOG}
+        key = replace(candidate, settings=in_all_logs, absorbed="").address
+        if key not in columns_of:
+            columns_of[key] = candidate.effect.columns(scene, candidate.joint, settings)
+        columns = columns_of[key]
+        if acts_in_log(scene.log, settings):
+            in_log.append(dict(columns))
+        else:
+            in_log.append({joint: np.zeros_like(X) for joint, X in columns.items()})
+    return in_log
 
 
 def candidates_of(

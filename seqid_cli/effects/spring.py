@@ -55,6 +55,10 @@ class Spring(Effect):
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
 
+    def simpler(self, settings: Settings) -> dict[str, float] | None:
+        """Return the linear law in place of the cubic one."""
+        return {**settings, "cubic": 0.0} if settings["cubic"] > 0.5 else None
+
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Return the position, a constant and, if `cubic`, its cube and square."""
         terms: tuple[str, ...] = ("q", "1.0")

@@ -9,6 +9,7 @@ first.
 """
 
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -111,10 +112,37 @@ class LinkMotion(NamedTuple):
 
 def cross(u: Array, v: Array) -> Array:
     """Take the cross product along the first axis (3, ...), with broadcasting."""
-    x = u[1] * v[2] - u[2] * v[1]
-    y = u[2] * v[0] - u[0] * v[2]
-    z = u[0] * v[1] - u[1] * v[0]
-    return np.stack((x, y, z))
+    product = np.empty((3, *np.broadcast(u[0], v[0]).shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(u[j], v[k], out=product[i])
+        product[i] -= u[k] * v[j]
+    return product
+
+
+class _JointConstants(NamedTuple):
+    """What the places of a chain's joints are made of, whatever their positions."""
+
+    # (n, 9, 3): matrices (3, 3) of 1, cos q and sin q, whose sum is the rotation
+    matrices: Array
+    slides: Array  # (n, 3) m per m of a joint that slides, in the parent's frame
+    skews: Array  # (n, 3, 3) of the axes, in their own frames
+
+
+@lru_cache(maxsize=16)
+def _joint_constants(chain: Chain) -> _JointConstants:
+    """Work out once what `joint_transforms` needs for every log."""
+    # Rodrigues' formula with the axis e, R = C (e e' + cos q (1 - e e') + sin q [e x]),
+    # as one product of constant matrices with 1, cos q and sin q. R is C if it slides.
+    turns = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
+    along = chain.axis[:, :, None] * chain.axis[:, None, :]
+    skews = np.stack([skew(axis) for axis in chain.axis])
+    constant = chain.rotation @ (turns * along + (1.0 - turns) * np.eye(3))
+    cosine = chain.rotation @ (turns * (np.eye(3) - along))
+    sine = chain.rotation @ (turns * skews)
+    matrices = np.stack((constant, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
+    axis_in_parent = np.einsum("nab,nb->na", chain.rotation, chain.axis)
+    slides = (1.0 - turns[:, 0]) * axis_in_parent
+    return _JointConstants(matrices=matrices, slides=slides, skews=skews)
 
 
 def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
@@ -132,21 +160,10 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
     p : ndarray, (n, 3, N)
         Origins in the parent's frame [m].
     """
-    # Rodrigues' formula with the axis e, R = C (e e' + cos q (1 - e e') + sin q [e x]),
-    # as one product of constant matrices with 1, cos q and sin q. R is C if it slides.
-    turns = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
-    along = chain.axis[:, :, None] * chain.axis[:, None, :]
-    skews = np.stack([skew(axis) for axis in chain.axis])
-    constant = chain.rotation @ (turns * along + (1.0 - turns) * np.eye(3))
-    cosine = chain.rotation @ (turns * (np.eye(3) - along))
-    sine = chain.rotation @ (turns * skews)
-    matrices = np.stack((constant, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
+    constants = _joint_constants(chain)
     factors = np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)
-    R = (matrices @ factors).reshape(chain.n, 3, 3, -1)
-
-    axis_in_parent = np.einsum("nab,nb->na", chain.rotation, chain.axis)
-    slides = (1.0 - turns[:, 0]) * axis_in_parent
-    p = chain.position[:, :, None] + slides[:, :, None] * q[:, None, :]
+    R = (constants.matrices @ factors).reshape(chain.n, 3, 3, -1)
+    p = chain.position[:, :, None] + constants.slides[:, :, None] * q[:, None, :]
     return R, p
 
 
@@ -163,6 +180,7 @@ def link_motion(
         Joint positions, velocities, accelerations [rad; m where prismatic].
     """
     R, p = joint_transforms(chain, q)
+    skews = _joint_constants(chain).skews
     w = np.empty_like(p)
     dw = np.empty_like(p)
     a = np.empty_like(p)
@@ -186,7 +204,7 @@ def link_motion(
 
         # What the joint itself adds.
         axis = chain.axis[i][:, None]
-        w_cross_axis_dq = (-skew(chain.axis[i]) @ w[i]) * dq[i]
+        w_cross_axis_dq = (-skews[i] @ w[i]) * dq[i]
         if chain.prismatic[i]:
             a[i] += axis * ddq[i] + 2.0 * w_cross_axis_dq
         else:

@@ -199,11 +199,15 @@ def inverse_dynamics(
         a = motion.a[i]
         mass = phi[i, 0]
         c = phi[i, 1:4, None]
+        H = motion.H[i]
         xx, xy, yy, xz, yz, zz = phi[i, 4:]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
         # What the link needs, and all links behind it.
-        force = force + (mass * a + cross(dw, c) + cross(w, cross(w, c)))
+        force = force + mass * a
+        force += H[:, 0] * c[0]
+        force += H[:, 1] * c[1]
+        force += H[:, 2] * c[2]
         moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
         tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
 

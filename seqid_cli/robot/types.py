@@ -80,7 +80,7 @@ class Imu:
     gyro: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one and the same, not alike: arrays have no hash
 class Chain:
     """Kinematic constants of a serial chain of n joints."""
 

@@ -119,7 +119,9 @@ class AcrossLogs:
             half_width = quantile * spread * np.sqrt(1.0 + 1.0 / count)
         value = 1.0 - ratio
         return Gain(
-            value=value, low=float(value - half_width), high=float(value + half_width)
+            value=value,
+            low=float(value - half_width),
+            high=float(min(value + half_width, 1.0)),
         )
 
     @property
@@ -295,12 +297,17 @@ class NamesAcrossLogs:
         is_refused : callable
             Whether an effect was tried and refused.
         """
-        others = [
-            each
-            for each in (self.result.scored, *_near_rivals(self.result, is_refused))
-            if each.term is not result.term and not _is_smooth_or(is_refused, each)
-        ]
-        return [each for each in others if not self._is_disproved(each)]
+        following: list[ScoredTerm] = []
+        taken = [result.term]
+        for each in (self.result.scored, *_near_rivals(self.result, is_refused)):
+            # The same effect, also apart above the cut-off, is one name.
+            is_new = each.term.key not in {term.key for term in taken}
+            if not is_new or _is_smooth_or(is_refused, each):
+                continue
+            taken.append(each.term)
+            if not self._is_disproved(each):
+                following.append(each)
+        return following
 
     def _is_disproved(self, scored: ScoredTerm) -> bool:
         return self.across(scored).is_disproved(self._options.improvement)

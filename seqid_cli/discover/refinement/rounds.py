@@ -51,6 +51,7 @@ from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.effects.units import UNEXPLAINED
+from seqid_cli.heap import give_back
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
@@ -123,6 +124,7 @@ def refine(
     investigation = investigate(
         material.now(incoming_model), robot, file.stages, options, least=0.0
     )
+    _forget_search(investigation)
     if investigation.selection.terms:
         loop.material = _material_to_fit(material, investigation, incoming_model)
         investigation = _add_effects(loop, investigation)
@@ -273,12 +275,19 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 loop.material.options,
                 candidates=waiting,
             )
+            _forget_search(investigation)
             findings = _Findings(loop, investigation, after=findings)
             next_results = findings.untried()
             if is_complete:
                 waiting = _waiting(investigation, next_results)
         new_results = next_results
     return investigation
+
+
+def _forget_search(investigation: Investigation) -> None:
+    """Give back what a finished search takes: the models that follow need the room."""
+    investigation.ground.forget_search()
+    give_back()
 
 
 def _waiting(
@@ -567,6 +576,16 @@ def _decided_when(
     )
     if not speaks_for_all_along:
         return late
+
+    if len(late.candidate_model.effects) == len(effects):
+        # Whether the other account is worth it needs every stage once more without its
+        # effects: it is not asked of one that explains the logs less well.
+        late_fit = late.candidate_model.model
+        if likelier(
+            loop.error_everywhere(late_fit),
+            loop.error_everywhere(all_along_model.model),
+        ):
+            return late
 
     all_along = Decision.of(all_along_model)
     if late.candidate_model.effects and all_along.candidate_model.effects:

@@ -199,6 +199,11 @@ class SelectionProblem:
         """Number of joints."""
         return self.stage.rows.n
 
+    def forget_search(self) -> None:
+        """Let go of what a finished search has worked out, and a fit does not need."""
+        self.stage.forget()
+        self._smooth.clear()
+
     def tuner(self, linear: LinearModel) -> Tuner:
         """Return where settings of effects are searched beside a model."""
         return Tuner(self.stage, linear, self.size, self.options)

@@ -218,6 +218,27 @@ def test_waves_below_their_errors_give_way_to_fewer() -> None:
     assert not done.refused
 
 
+def test_a_cubic_spring_below_its_errors_gives_way_to_a_linear_one() -> None:
+    """Stages that move leave the stiffness, and not by what it grows."""
+    cubic = Candidate(CATALOGUE["spring"], 0, {"cubic": 1.0})
+    linear = CATALOGUE["spring"].simpler(cubic.settings)
+    assert linear == {"cubic": 0.0}
+    assert CATALOGUE["spring"].simpler(linear) is None
+
+    @dataclass(frozen=True)
+    class OfSpring(Round):
+        @property
+        def judgements(self) -> tuple[Judgement, ...]:
+            (judgement,) = super().judgements
+            is_linear = self.effects[0].settings["cubic"] == 0.0
+            return (replace(judgement, is_determined=is_linear),)
+
+    done = Decision.of(OfSpring((cubic,), {0: 0.5}, {}))
+    (effect,) = done.candidate_model.effects
+    assert effect.settings == linear
+    assert not done.refused
+
+
 def test_coefficients_smaller_than_their_errors_are_not_added() -> None:
     none = {"of_5": 0.6, "of_3": 0.8, "of_2": 0.9, "of_1": 0.5}
     done = decided(candidate(5.0), gains={0: 0.5}, **none)

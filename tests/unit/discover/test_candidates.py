@@ -1,13 +1,21 @@
 """Where an effect is looked for, and the command that settles its name."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from seqid_cli.discover.candidates import candidates_of
+from seqid_cli.discover.candidates import (
+    Candidate,
+    CandidateColumns,
+    candidates_of,
+)
 from seqid_cli.discover.diagnosis import separate_by
+from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.effects.effect import FROM_LOG, Columns, Effect
 from seqid_cli.effects.registry import CATALOGUE, catalogue_of
+from seqid_cli.effects.scene import Scene
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
 from tests.plants.robots.sample import sample_robot
@@ -52,3 +60,33 @@ def test_an_own_effect_of_one_joint_is_looked_for_there_alone() -> None:
     effect = catalogue_of(scene.robot)["cube"]
     found = candidates_of([scene], [effect], [np.zeros_like(scene.motion.q)])
     assert {candidate.joint for candidate in found} == {0}
+
+
+def test_a_change_since_a_log_is_worked_out_with_the_change_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its columns are the same, zero before that log; forgotten ones come back."""
+    stage = CandidateColumns(rows_of(arm_scenes(logs=2, seconds=8.0)))
+    effect = CATALOGUE["friction_change"]
+    calls = []
+    columns = type(effect).columns
+
+    def counted(self: Effect, scene: Scene, *others: Any) -> Columns:
+        calls.append(scene.log)
+        return columns(self, scene, *others)
+
+    monkeypatch.setattr(type(effect), "columns", counted)
+    change = Candidate(effect, 0, {})
+    since = Candidate(effect, 0, {FROM_LOG: 1.0})
+    of_change, of_since = stage.columns([change, since])
+    assert calls == [0, 1]
+
+    log = stage.rows.of(
+        0, [np.full(scene.samples, scene.log) for scene in stage.scenes]
+    )
+    np.testing.assert_array_equal(of_since[0][log == 0], 0.0)
+    np.testing.assert_allclose(of_since[0][log == 1], of_change[0][log == 1])
+
+    stage.forget()
+    (again,) = stage.columns([since])
+    np.testing.assert_array_equal(again[0], of_since[0])

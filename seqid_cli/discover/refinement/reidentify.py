@@ -34,7 +34,6 @@ from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.apply import session_of, without_effects
 from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.effects.smooth import SmoothTerm
-from seqid_cli.heap import give_back
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.recipe import friction_options, recipe_of, stage_settings
@@ -421,7 +420,6 @@ def _stages(material: RefinementData, model: Refitted, fit: Model | None) -> Sta
             getattr(new, name), settings=old_stage.settings, recipe=old_stage.recipe
         )
         setattr(new, name, new_stage)
-    give_back()
     return new
 
 
@@ -481,7 +479,6 @@ def _sequential(material: RefinementData, model: Refitted) -> Stages:
 
     if stages.friction is not None:
         new.friction = _friction(robot, friction_logs, stages.friction)
-        give_back()
     is_changed = new.friction is not stages.friction or any(
         item.is_changed for item in gravity_logs
     )
@@ -494,7 +491,6 @@ def _sequential(material: RefinementData, model: Refitted) -> Stages:
         )
         new.gravity = with_gravity.gravity
         new.friction = with_gravity.friction
-        give_back()
     if stages.inertia is not None:
         logs = [item.freed for item in inertia_logs]
         logs += [freed(identity(log)) for log in material.training]

@@ -51,7 +51,6 @@ from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.effects.units import UNEXPLAINED
-from seqid_cli.heap import give_back
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
@@ -124,7 +123,8 @@ def refine(
     investigation = investigate(
         material.now(incoming_model), robot, file.stages, options, least=0.0
     )
-    _forget_search(investigation)
+    # The models that follow need the room.
+    investigation.ground.forget_search()
     if investigation.selection.terms:
         loop.material = _material_to_fit(material, investigation, incoming_model)
         investigation = _add_effects(loop, investigation)
@@ -275,19 +275,13 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 loop.material.options,
                 candidates=waiting,
             )
-            _forget_search(investigation)
+            investigation.ground.forget_search()
             findings = _Findings(loop, investigation, after=findings)
             next_results = findings.untried()
             if is_complete:
                 waiting = _waiting(investigation, next_results)
         new_results = next_results
     return investigation
-
-
-def _forget_search(investigation: Investigation) -> None:
-    """Give back what a finished search takes: the models that follow need the room."""
-    investigation.ground.forget_search()
-    give_back()
 
 
 def _waiting(

@@ -10,7 +10,7 @@ factors", JASA 90, 1995.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
@@ -453,12 +453,18 @@ class Selection:
         """Return the terms that are told, after they have given way to simpler ones."""
         model = self.model
         results = self._results(least)
-        better: dict[Term, Term] = {}
-        for term, result in results.items():
+        laws: dict[Term, Term] = {}
+        for term in results:
             law = self._law_behind(term, results) if term.smooth else None
             if law is not None:
-                better[term] = law
-            else:
+                laws[term] = law
+        law_keys = {law.key for law in laws.values()}
+
+        better: dict[Term, Term] = {}
+        for term, result in results.items():
+            if term in laws:
+                better[term] = laws[term]
+            elif term.key not in law_keys:  # else the law stands where the function did
                 taken_keys = {other.key for other in better.values()}
                 better[term] = self._heading(result, taken_keys)
         if all(best is term for term, best in better.items()):
@@ -466,7 +472,7 @@ class Selection:
 
         new_keys = {best.key for term, best in better.items() if best is not term}
         staying = [
-            term for term in model.terms if term in results or term.key not in new_keys
+            term for term in model.terms if term in better or term.key not in new_keys
         ]
         model.terms = [better.get(term, term) for term in staying]
         model.settle()
@@ -484,17 +490,21 @@ class Selection:
                 results[term] = self.result_of(judged)
         return results
 
-    def _law_behind(self, smooth: Term, told: Collection[Term]) -> Term | None:
+    def _law_behind(self, smooth: Term, told: Mapping[Term, TermResult]) -> Term | None:
         """Return an effect that a function hides, though it alone explains as much.
 
-        Its law errs a little then, as no law is exactly the catalogue's. None where
-        there is no such effect.
+        Its law errs a little then, as no law is exactly the catalogue's. An effect that
+        is told beside it and gains more is not hidden by it. None where there is no
+        such effect.
         """
         model = self.model
+        of_function = told[smooth].scored.score.total
         able: list[FittedTerm] = []
         for term in model.terms:
             is_beside = bool(term.channels & smooth.channels)
-            if not isinstance(term.what, Candidate) or not is_beside or term in told:
+            if not isinstance(term.what, Candidate) or not is_beside:
+                continue
+            if term in told and told[term].scored.score.total >= of_function:
                 continue
             neither = model.beside(smooth, term)
             gain_of_both = model.linear.evidence - neither.evidence

@@ -313,3 +313,25 @@ def rival(model: Model, name: str, gain: float) -> ScoredTerm:
     (fit,) = model.linear.fits([term.part])
     fit = replace(fit, log_bayes_factor=gain)
     return ScoredTerm(term=term, fit=fit, score=score)
+
+
+def test_a_larger_function_gives_way_to_an_effect_that_is_told_beside_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A hump was told at too low a speed, beside the rest of the same hump."""
+    monkeypatch.setattr(Selection, "is_told", lambda *_: True)
+    scenes = arm_scenes(stribeck(0.2), logs=2, noise=(0.05, 0.005))
+    model = model_of(scenes, HELD)
+    ground = model.ground
+    hump = candidate("stribeck", 1, stribeck_speed=0.1, exponent=2.0)
+    function = next(
+        term
+        for term in ground.smooth_terms(1)
+        if term.what.quantities == ("velocity", "direction")
+    )
+    model.terms = [*terms.effects(ground.stage, [hump], ground.size), function]
+    model.settle()
+    (told,) = Selection(model, [CATALOGUE["stribeck"]]).told().terms
+    assert told.term.name == "stribeck"
+    speed = told.term.what.settings["stribeck_speed"]
+    assert speed == pytest.approx(0.2, rel=0.03)

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from seqid_cli.inspect.dynamics.friction import Sample
+from seqid_cli.inspect.dynamics.structure import torque_sizes
 from seqid_cli.inspect.material import LogData
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Array, Robot
@@ -64,6 +65,8 @@ class Cause:
             moving = tuple(sorted(order[list(sample.moving)].tolist()))
             sample = replace(sample.mapped(lambda x: x[:, order]), moving=moving)
         if self.adds_gravity:
+            # Much gravity beside a small torque would make any error a small share.
+            sample = replace(sample, sizes=torque_sizes(sample))
             tau = tau + sample.nominal()[0]
         return replace(
             sample,

@@ -53,6 +53,8 @@ class Sample:
     moving: tuple[int, ...]  # joints that are driven far enough both ways
     # Of the robot without rotors; None where its geometry is not known.
     basis: Basis | None
+    # RMS (n,) of which errors are shares; None where it is that of `tau`.
+    sizes: Array | None = None
 
     def mapped(self, change: Callable[[Array], Array]) -> "Sample":
         """Return the sample with every array changed alike."""

@@ -17,6 +17,14 @@ def sliding(sample: Sample, *, min_speed: float = 0.2) -> Mask:
     return np.asarray(is_fast & np.isin(np.arange(sample.robot.n), sample.moving))
 
 
+def torque_sizes(sample: Sample) -> Array:
+    """Return the RMS (n,) of each torque where its joint slides, never quite zero."""
+    slides = sliding(sample)
+    squares = np.where(slides, sample.tau, 0.0) ** 2
+    count = np.maximum(slides.sum(axis=0), 1)
+    return np.asarray(np.sqrt(squares.sum(axis=0) / count).clip(1e-12))
+
+
 def structural_residual(sample: Sample) -> Array:
     """Return what rigid body and friction leave (R,), in shares of each torque's RMS.
 
@@ -30,9 +38,7 @@ def structural_residual(sample: Sample) -> Array:
     X = np.concatenate([Y, friction.reshape(len(sample.tau), n, -1)], axis=2)
 
     slides = sliding(sample)
-    squares = np.where(slides, sample.tau, 0.0) ** 2
-    count = np.maximum(slides.sum(axis=0), 1)
-    size = np.sqrt(squares.sum(axis=0) / count).clip(1e-12)
+    size = torque_sizes(sample) if sample.sizes is None else sample.sizes
     return scaled_fit((X / size[:, None])[slides], (sample.tau / size)[slides]).residual
 
 

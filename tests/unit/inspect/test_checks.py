@@ -52,6 +52,26 @@ def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(
         assert {finding.code for finding in found} == codes
 
 
+def test_small_efforts_of_other_signs_do_not_lack_gravity(tmp_path: Path) -> None:
+    """Gravity that is added to amperes dwarfs them, and what is left, by its size."""
+    folder = SAMPLES / "six_joint"
+    columns = read_columns(folder / "inertia/shoulder_lift__elbow.parquet")
+    for name, constant in zip(SIX, (1.0, 0.4, -2.5, -0.5, 3.0, -1.5), strict=True):
+        columns[f"{name}.torque"] = constant * columns.pop(f"{name}.current")
+    write_columns(tmp_path / "log.parquet", columns)
+    shutil.copy(folder / "six_joint.urdf", tmp_path)
+    lines = (folder / "robot.toml").read_text().replace('effort = "current"', "")
+    unknown = ("torque_constant", "gear_ratio", "rotor_inertia")
+    kept = [line for line in lines.splitlines() if not line.startswith(unknown)]
+    (tmp_path / "robot.toml").write_text("\n".join(kept))
+
+    robot = load_robot(tmp_path / "robot.toml")
+    found = inspect_log(tmp_path / "log.parquet", robot).findings
+    codes = {finding.code for finding in found}
+    assert "effort_without_gravity" not in codes
+    assert "sign_mismatch" in codes
+
+
 @pytest.mark.parametrize("lost", [0, 80])
 def test_the_hole_between_episodes_is_no_gap(tmp_path: Path, lost: int) -> None:
     t, episode = (

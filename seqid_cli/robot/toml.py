@@ -202,7 +202,9 @@ def _explained(
         table = re.sub(r"\[[^\]]*\]", "", at)
         keys = toml_schema.TABLES.get(table, RobotFile).__struct_fields__
         message = f"unknown key '{prefix}{unknown['key']}'"
-        hint = f"{nearest(unknown['key'], keys)}Known here: {', '.join(keys)}."
+        known = f"Known here: {', '.join(keys)}."
+        elsewhere = _elsewhere(unknown["key"])
+        hint = f"{elsewhere or nearest(unknown['key'], keys)}{known}"
     elif missing is not None:
         message = f"the key '{prefix}{missing['key']}' is missing"
         hint = f"Add {missing['key']} = ..."
@@ -211,6 +213,17 @@ def _explained(
         message = f"{at or 'the document'}: {sentence}".replace("`", "'")
         hint = "Correct the value."
     return ConfigError(message + _owner(at, document), where=str(path), hint=hint)
+
+
+def _elsewhere(key: str) -> str:
+    """Say in a sentence in which tables a key belongs; empty if in none."""
+    tables = {"": RobotFile, **toml_schema.TABLES}
+    places = [
+        f"under [{table}]" if table else "at the top of the file, before any table"
+        for table, entry in tables.items()
+        if key in entry.__struct_fields__
+    ]
+    return f"It stands {' or '.join(places)}. " if places else ""
 
 
 def _owner(at: str, document: dict[str, object]) -> str:

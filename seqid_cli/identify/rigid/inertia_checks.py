@@ -53,7 +53,7 @@ def inertia_verdicts(
                 f"{parameter.name} is {parameter.value:.3g} +-"
                 f" {parameter.std_error:.2g}: a rotor cannot have negative inertia."
                 " Where the torque is of a sensor behind the gear, write torque_side ="
-                ' "link" in the robot file'
+                ' "link" at the top of the robot file'
             )
             yield Verdict(joint=parameter.joint, good=False, reason=reason)
     yield from _negative_inertias(stage, robot, settings)

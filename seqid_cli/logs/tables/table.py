@@ -29,6 +29,8 @@ from seqid_cli.typing import Array
 
 ROWS = "the rows"  # the name of a table's streams, for messages
 _TIME_KEY = "[channels] time"
+# No arm has so many; a table of a log that lies on its side has thousands.
+_MOST_CHANNELS = 400
 _SHOWN = 6  # missing columns that a message lists
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
 
@@ -311,7 +313,7 @@ def _time_column(
         raise InputError(
             f"no column of the time; there are: {', '.join(file.names[:12])}",
             hint=f'Say which it is in the robot file: {_TIME_KEY} = "...". Where there'
-            " is none: [channels] rate = 200 (Hz).",
+            " is none: [channels] rate = 200 (Hz), which seqid init --rate 200 writes.",
             where=file.where,
         )
     unit = channels.time_unit or unit_by_name.get(name)
@@ -350,6 +352,15 @@ def missing_columns(
         The key of the robot file that can name another column.
     """
     names = list(dict.fromkeys(names))
+    if nameless(names) and len(names) > _MOST_CHANNELS:
+        return InputError(
+            f"has no line of names, but {len(names)} columns: samples seem to lie side"
+            " by side",
+            hint="Turn the table: one line per sample. In Python:"
+            " numpy.savetxt('log.csv', numpy.loadtxt('table.csv', delimiter=',').T,"
+            " delimiter=',')",
+            where=where,
+        )
     if nameless(names):
         return InputError(
             f"has no line of names: its columns are numbered 1 to {len(names)}",

@@ -230,6 +230,16 @@ def test_mistakes_are_named_by_file_and_key(tmp_path: Path, case: str) -> None:
     assert OFFERED.get(case, "") in caught.value.hint
 
 
+def test_a_key_in_the_wrong_table_is_told_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    channels = '\n[channels]\ntorque_side = "link"\n'
+    path.write_text('schema = "seqid/robot@1"\n' + ONE + channels)
+    with pytest.raises(ConfigError) as error:
+        load_robot(path)
+    assert "at the top of the file, before any table" in (error.value.hint or "")
+    assert "under [joint]" in (error.value.hint or "")
+
+
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     (tmp_path / "other.toml").touch()
     with pytest.raises(ConfigError, match="robot file not found") as caught:

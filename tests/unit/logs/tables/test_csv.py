@@ -196,6 +196,13 @@ def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None
         np.testing.assert_array_equal(recording.q, MOTION.q[:, order])
 
 
+def test_a_table_on_its_side_is_told(tmp_path: Path) -> None:
+    lines = [",".join(f"{0.001 * i + j}" for i in range(500)) for j in range(4)]
+    with pytest.raises(InputError, match="500 columns: samples seem to lie side") as e:
+        read(tmp_path, "\n".join([*lines, ""]).encode())
+    assert "Turn the table" in (e.value.hint or "")
+
+
 def test_lines_left_out_are_told(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

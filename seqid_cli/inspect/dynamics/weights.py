@@ -184,9 +184,36 @@ def weight_findings(
     if common is not None:
         yield from _of_common(data, found, common, quantity)
         return
+    if len(found) > 1 and all(weight.high < -MIN_OPPOSITE for weight in found):
+        yield from _of_all_opposite(data, found, quantity)
+        return
     for weight in found:
         if weight.high < small or max(weight.low, -weight.high) > large:
             yield _of_joint(data, weight, quantity)
+
+
+def _of_all_opposite(
+    data: LogData, found: Sequence[Weight], quantity: str
+) -> Iterator[InspectionFinding]:
+    """Yield that all torques have the other sign, or gravity the other direction.
+
+    Some controllers log the torque that acts on the drive, not on the link.
+    """
+    ends = sorted(weight.ratio for weight in found)
+    text = (
+        "the torques of all joints that carry weight are opposite to the URDF's"
+        f" gravity ({ends[0]:.3g} to {ends[-1]:.3g} times it): all are logged with the"
+        " other sign, or gravity points the other way"
+    )
+    flip = 'effort = "current" with torque_constant = 1 and gear_ratio = -1'
+    if quantity == "current":
+        flip = "the other sign of every gear_ratio"
+    remedy = (
+        f"Where the sign is the controller's, {flip} turns it; where the robot hangs,"
+        " write gravity in the robot file."
+    )
+    for weight in found:
+        yield _named(data.robot, weight, "sign_mismatch", text, quantity, remedy)
 
 
 def _of_common(

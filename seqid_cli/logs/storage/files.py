@@ -33,7 +33,7 @@ METADATA = "metadata.yaml"  # what makes a folder a ROS 2 bag
 _FROM_MATLAB = (
     'Write a table in MATLAB: parquetwrite("log.parquet", array2table([t q i],'
     ' "VariableNames", ["time" "q1" "q2" "i1" "i2"])). In Python scipy.io.loadmat reads'
-    " the file, but for version 7.3, and a dict of arrays is a log for seqid's functions."
+    " it, but for version 7.3, and a dict of arrays is a log for seqid's functions."
 )
 _FROM_NUMPY = (
     "Write a table in Python: numpy.savetxt('log.csv', numpy.column_stack([t, q, i]), "

@@ -60,7 +60,7 @@ NAMING_WORDS = {
     "torque": _Words(
         named="torque tau trq",
         numbered="tau torque joint_torque joint_torques",
-        proposed="torques tauj moment drehmoment",
+        proposed="torques tauj moment drehmoment force forces kraft",
     ),
     EFFORT: _Words(
         named="effort eff",

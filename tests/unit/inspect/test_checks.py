@@ -72,6 +72,38 @@ def test_small_efforts_of_other_signs_do_not_lack_gravity(tmp_path: Path) -> Non
     assert "sign_mismatch" in codes
 
 
+def test_torques_of_the_other_sign_have_one_remedy(tmp_path: Path) -> None:
+    """Sensors without friction show it by their weights alone."""
+    folder = SAMPLES / "six_joint"
+    robot = load_robot(folder / "robot.toml")
+    t = np.arange(0.0, 20.0, 0.01)
+    rates = np.array([2.7, 2.9, 3.1, 3.3, 3.5, 3.7])
+    start = np.array([0.0, -1.2, 0.5, 0.0, 0.0, 0.0])
+    q = start + 0.6 * np.sin(np.outer(t, rates))
+    dq = 0.6 * rates * np.cos(np.outer(t, rates))
+    ddq = -0.6 * rates**2 * np.sin(np.outer(t, rates))
+    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+    noise = np.random.default_rng(3).normal(0.0, 0.3, tau.shape)
+    columns = {"t": t}
+    for j, name in enumerate(SIX):
+        columns[f"{name}.position"] = q[:, j]
+        columns[f"{name}.torque"] = -1.2 * tau[:, j] + noise[:, j]
+    write_columns(tmp_path / "log.parquet", columns)
+    shutil.copy(folder / "six_joint.urdf", tmp_path)
+    text = (folder / "robot.toml").read_text()
+    (tmp_path / "robot.toml").write_text(
+        text.replace('effort = "current"', 'effort = "torque"')
+    )
+
+    found = inspect_log(
+        tmp_path / "log.parquet", load_robot(tmp_path / "robot.toml")
+    ).findings
+    signs = [finding for finding in found if finding.code == "sign_mismatch"]
+    assert signs
+    assert not any(finding.code == "axis_flipped" for finding in found)
+    assert all("gear_ratio = -1" in finding.remedy for finding in signs)
+
+
 @pytest.mark.parametrize("lost", [0, 80])
 def test_the_hole_between_episodes_is_no_gap(tmp_path: Path, lost: int) -> None:
     t, episode = (

@@ -217,7 +217,7 @@ def _explained(
 
 def _elsewhere(key: str) -> str:
     """Say in a sentence in which tables a key belongs; empty if in none."""
-    tables = {"": RobotFile, **toml_schema.TABLES}
+    tables: dict[str, type[toml_schema.Table]] = {"": RobotFile, **toml_schema.TABLES}
     places = [
         f"under [{table}]" if table else "at the top of the file, before any table"
         for table, entry in tables.items()

@@ -104,6 +104,10 @@ _EXPLANATIONS = (
             }
         ),
     ),
+    # A servo drives towards its goal: such a sign is wrong at times, never reversed.
+    Explanation(
+        causes=frozenset({"sign_by_command"}), explained=frozenset({"sign_mismatch"})
+    ),
     Explanation(
         causes=frozenset({"torque_zero", "torque_constant_value"}),
         explained=frozenset({"torque_echo"}),
@@ -122,7 +126,7 @@ _EXPLANATIONS = (
                 "torque_scale",
             }
         ),
-        explained=frozenset({"torque_limit"}),
+        explained=frozenset({"torque_limit", "effort_limits"}),
         anywhere=True,
     ),
     Explanation(

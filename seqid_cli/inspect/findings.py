@@ -165,6 +165,11 @@ WARNINGS: Mapping[str, str] = {
         "Check the unit of the torque, torque_constant and gear_ratio; if they are"
         " right, correct the URDF's effort limit."
     ),
+    "effort_limits": (
+        "Look up the unit of the torque (A, percent or shares of a rated current),"
+        " torque_constant and gear_ratio; if they are right, correct the URDF's effort"
+        " limits."
+    ),
     "command_echo": "Log what the controller is asked for, not what it reports.",
     "command_not_followed": (
         "Check that both are of one joint, in one unit, and that the drive was on."
@@ -198,7 +203,7 @@ WARNINGS: Mapping[str, str] = {
 }
 
 # Warnings that a stage says too: what it identifies may be used, but is not good.
-USABLE_AT_MOST = frozenset({"scale_or_mass", "zero_or_mass"})
+USABLE_AT_MOST = frozenset({"scale_or_mass", "zero_or_mass", "effort_limits"})
 
 
 def finding_of(

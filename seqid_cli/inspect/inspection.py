@@ -341,7 +341,14 @@ def _advice(
     if not served:
         return []
     stage = "friction" if "friction" in served else "simultaneous"
-    return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"]
+    steps = [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"]
+    of_current = any(joint.effort == "current" for log in logs for joint in log.joints)
+    if of_current and robot.nominal is None:
+        steps.append(
+            "look up that the current is in A: without inertials in the URDF no log"
+            " tells its unit"
+        )
+    return steps
 
 
 def _missing_imus(

@@ -70,6 +70,43 @@ def commands_on_base(rows: Stream, messages: Sequence[Stream], base: Base) -> Co
     return _sent(streams, base)
 
 
+def latest_of_samples(
+    rows: Stream, messages: Sequence[Stream], quantity: str
+) -> Array | None:
+    """Return what each joint was asked for by the time of each sample.
+
+    Parameters
+    ----------
+    rows : Stream
+        M joint samples, which may hold commands as well.
+    messages : sequence of Stream
+        Commands with stamps of their own. They count more than those of the rows.
+    quantity : str
+        One of `COMMANDS`.
+
+    Returns
+    -------
+    (M, n) array or None
+        NaN where a joint has no command, or not yet; None where no joint has any.
+    """
+    sources = [stream for stream in messages if quantity in stream.channels]
+    if not sources:
+        return rows.channels.get(quantity)
+    columns = []
+    for joint in _joints(sources):
+        stream = _fullest(sources, quantity, joint)
+        given = stream.channels[quantity][:, joint]
+        present = np.flatnonzero(np.isfinite(given))
+        present = present[np.argsort(stream.stamp_ns[present], kind="stable")]
+        column = np.full(len(rows), np.nan)
+        if len(present):
+            stamps = stream.stamp_ns[present]
+            latest = np.searchsorted(stamps, rows.stamp_ns, side="right") - 1
+            column = np.where(latest >= 0, given[present[latest]], np.nan)
+        columns.append(column)
+    return np.column_stack(columns)
+
+
 def _filled(stream: Stream) -> Mask:
     """Return the samples (M,) that hold any command."""
     filled: Mask = np.zeros(len(stream), np.bool_)
@@ -123,7 +160,10 @@ def _sent(streams: Sequence[Stream], base: Base) -> Commands:
         if not sources:
             continue
         values = np.column_stack(
-            [_fullest(sources, quantity, joint, base) for joint in _joints(sources)]
+            [
+                _fullest_on_base(sources, quantity, joint, base)
+                for joint in _joints(sources)
+            ]
         )
         if _any(values):
             on_base[quantity] = values
@@ -142,14 +182,21 @@ def _joints(streams: Sequence[Stream]) -> range:
     return range(next(iter(channels.values())).shape[1])
 
 
-def _fullest(streams: Sequence[Stream], quantity: str, joint: int, base: Base) -> Array:
-    """Return a joint's command (N,) from the stream that has most of them."""
-    stream = max(
+def _fullest(streams: Sequence[Stream], quantity: str, joint: int) -> Stream:
+    """Return the stream that has most commands of a joint."""
+    return max(
         streams,
         key=lambda each: np.count_nonzero(
             np.isfinite(each.channels[quantity][:, joint])
         ),
     )
+
+
+def _fullest_on_base(
+    streams: Sequence[Stream], quantity: str, joint: int, base: Base
+) -> Array:
+    """Return a joint's command (N,) from the stream that has most of them."""
+    stream = _fullest(streams, quantity, joint)
     column = stream.channels[quantity][:, joint : joint + 1]
     return _held_values(_seconds(stream, base), column, base)[:, 0]
 

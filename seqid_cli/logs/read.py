@@ -137,7 +137,8 @@ def assemble(
     joints = without_absurd(raw.joints, warnings)
     joints = without_second_publisher(joints, where, warnings)
     _check_positions(joints, robot, where)
-    joints = with_signs(joints, robot, warnings)
+    messages = [without_absurd(stream, warnings) for stream in raw.commands]
+    joints = with_signs(joints, robot, warnings, commands=messages)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
     tidied = tidy(joints)
     repair = mended(tidied.stream)
@@ -163,7 +164,6 @@ def assemble(
     if np.isfinite(logged.channels.get("temperature", np.nan)).any():
         temperature = resample(logged, "temperature", base).values
 
-    messages = [without_absurd(stream, warnings) for stream in raw.commands]
     commands = commands_on_base(logged, messages, base)
 
     warnings += [*tidied.warnings, *repair.warnings]

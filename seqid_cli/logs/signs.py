@@ -6,10 +6,12 @@ negative half of the time there. A servo that holds a position drives towards it
 so that the sign is that of command minus position where the log has commands.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from seqid_cli.logs.commands import latest_of_samples
 from seqid_cli.logs.raw import Array, Mask, Stream
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import white_noise
@@ -17,7 +19,13 @@ from seqid_cli.robust import white_noise
 UNSIGNED = "is never negative though the joint moves both ways: it is a magnitude"
 
 
-def with_signs(stream: Stream, robot: Robot, warnings: list[str]) -> Stream:
+def with_signs(
+    stream: Stream,
+    robot: Robot,
+    warnings: list[str],
+    *,
+    commands: Sequence[Stream] = (),
+) -> Stream:
     """Give magnitudes of torque and current the sign of command minus position.
 
     Parameters
@@ -29,9 +37,11 @@ def with_signs(stream: Stream, robot: Robot, warnings: list[str]) -> Stream:
         Names of the joints.
     warnings : list of str
         A note on each magnitude is added to it, with what was made of it.
+    commands : sequence of Stream
+        Commands with stamps of their own, as bags have them.
     """
     position = stream.channels["position"]
-    command = stream.channels.get("command")
+    command = latest_of_samples(stream, commands, "command")
     channels = dict(stream.channels)
     for quantity in ("torque", "current"):
         if quantity not in channels:

@@ -432,4 +432,9 @@ def constants_note(robot: Robot) -> list[str]:
         f"torque constants taken as exact: {exact}; torque_constant_error in the robot"
         " file adds their error to the standard errors"
     )
+    if exact and robot.nominal is None:
+        note += (
+            "; the URDF has no inertials: a current in percent or shares of a rated one"
+            " would show in nothing but the size of every parameter"
+        )
     return [note] if exact else []

@@ -62,21 +62,31 @@ def _beyond_limits(
 ) -> Iterator[InspectionFinding]:
     """Find torques whose quantile `usual` is `most` times the URDF's effort limit.
 
-    A push or a spike is no torque of the joint.
+    A push or a spike is no torque of the joint. One joint beyond may have a wrong limit
+    in the URDF; where all that move are beyond theirs, the torque has another unit.
     """
     tau = data.recording.tau
     if tau is None or not data.modelled:
         return
     largest = np.quantile(np.abs(tau[data.recording.valid]), usual, axis=0)
-    for joint, torque in zip(data.robot.joints, largest.tolist(), strict=True):
-        limit = joint.urdf.effort if joint.urdf is not None else None
-        if limit and torque > most * limit:
-            unit = joint.unit("N m")
-            text = (
-                f"reaches {torque:.4g} {unit}, the URDF's effort limit is {limit:.4g}"
-                f" {unit}"
-            )
-            yield finding_of("torque_limit", text, joint.name, quantity)
+    limits = np.array(
+        [
+            (joint.urdf.effort if joint.urdf is not None else None) or np.inf
+            for joint in data.robot.joints
+        ]
+    )
+    is_beyond = largest > most * limits
+    moving = [j for j in range(data.robot.n) if data.moves(j)]
+    all_beyond = len(moving) > 1 and bool(is_beyond[moving].all())
+    code = "effort_limits" if all_beyond else "torque_limit"
+    for j in np.flatnonzero(is_beyond):
+        joint = data.robot.joints[j]
+        unit = joint.unit("N m")
+        text = (
+            f"reaches {largest[j]:.4g} {unit}, the URDF's effort limit is"
+            f" {limits[j]:.4g} {unit}"
+        )
+        yield finding_of(code, text, joint.name, quantity)
 
 
 def _may_be_current(data: LogData) -> bool:

@@ -285,7 +285,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> _JointFriction:
     X = np.column_stack([*columns, of_position, *heavy])
     fit = scaled_fit(X, tau)
 
-    memory = max(sample.memory, _memory(fit.residual))
+    memory = max(sample.memory, memory_of(fit.residual))
     freedom = max(len(tau) - len(fit.theta) * sample.memory, 10.0)
     variance = float(fit.residual @ fit.residual) / freedom * memory
     count = len(moving)
@@ -295,7 +295,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> _JointFriction:
     return _JointFriction(values, std_errors, spread, rms_residual / spread)
 
 
-def _memory(residual: Array) -> float:
+def memory_of(residual: Array) -> float:
     """Return how many rows of a residual say as much as one, by its autocorrelation."""
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]

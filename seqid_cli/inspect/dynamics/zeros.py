@@ -5,7 +5,9 @@ sine and a cosine of its angle, whatever its zero. Not all: joints share the par
 and frames of the others are where the zero puts them. With a shift s of each joint the
 torque is Y(q + s, dq, ddq) pi + friction; the shifts are found by Gauss and Newton, the
 parameters eliminated. What the equations do not tell, such as the zero of a vertical
-first axis, has a standard error without bounds.
+first axis, has a standard error without bounds. The errors count as many rows as one as
+the residual itself says: noise of a fast sensor is forgotten at once, and physics that
+the equations lack lasts.
 """
 
 from collections.abc import Iterator
@@ -13,14 +15,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from seqid_cli.inspect.dynamics.friction import Sample
-from seqid_cli.inspect.dynamics.structure import structural_error, structural_residual
+from seqid_cli.inspect.dynamics.friction import Sample, memory_of
+from seqid_cli.inspect.dynamics.structure import (
+    sliding,
+    structural_error,
+    structural_residual,
+)
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.scales import Factor
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.typing import Array
 
-CLEAR = 6.0  # standard errors of a shift; recorded arms whose zeros are right reach 3.7
+CLEAR = 4.0  # standard errors of a shift; recorded arms whose zeros are right reach 2.6
 
 
 def zero_findings(
@@ -38,7 +44,7 @@ def zero_findings(
     sample : Sample
         Filtered motion and torque, with the robot's base parameters.
     rows : int
-        Rows that are looked at.
+        Rows on which shifts are searched for; all of them have the last word.
     max_error : float
         Standard error [rad] from which on a shift is not known.
     min_shift : float
@@ -51,7 +57,7 @@ def zero_findings(
     # Without gravity, or where the equations leave much, a zero shows in nothing.
     if not joints or not robot.gravity.any() or structural_error(sample) > max_left:
         return
-    shifts = _shifts(sample.thinned(rows), joints)
+    shifts = _shifts(sample, joints, rows=rows)
     known = {j: s for j, s in shifts.items() if s.std_error < max_error}
     off = {
         j: abs(s.value) / s.std_error
@@ -71,6 +77,7 @@ def _shifts(
     sample: Sample,
     joints: list[int],
     *,
+    rows: int,
     rounds: int = 5,
     largest_step: float = 0.2,
     done: float = 1e-3,
@@ -79,17 +86,23 @@ def _shifts(
 ) -> dict[int, Factor]:
     """Fit a shift [rad] for each joint, with its standard error; none where none shows.
 
+    The last of the `rounds` sees all rows, those before it about `rows` of them.
     `largest_step`, the step at which it is `done`, and the change by which a `slope` is
     taken are in rad; `ridge` is the share of the information that bounds what is not
     determined.
     """
     n = sample.robot.n
     shift = np.zeros(n)
+    seen = sample.thinned(rows)
+    is_last = False
 
     def left(change: Array) -> Array:
-        return structural_residual(replace(sample, q=sample.q + shift + change))
+        return structural_residual(replace(seen, q=seen.q + shift + change))
 
-    for _ in range(rounds):
+    for number in range(rounds):
+        is_last = is_last or number == rounds - 1
+        if is_last:
+            seen = sample
         r = left(np.zeros(n))
         slopes = []
         for j in joints:
@@ -105,12 +118,21 @@ def _shifts(
         step = -np.linalg.solve(information + 1e3 * ridge * size, J.T @ r)
         step = np.clip(step, -largest_step, largest_step)
         shift[joints] += step
-        if np.abs(step).max() < done:
+        if is_last:
             break
+        is_last = bool(np.abs(step).max() < done)
 
-    variance = float(np.mean(r**2)) * sample.memory
+    variance = float(np.mean(r**2)) * _memory(sample, r)
     errors = np.sqrt(np.diag(np.linalg.inv(information + ridge * size)) * variance)
     return {
         j: Factor(value=float(shift[j]), std_error=float(error))
         for j, error in zip(joints, errors, strict=True)
     }
+
+
+def _memory(sample: Sample, residual: Array) -> float:
+    """Return how many rows count as one, by a `structural_residual` (R,) of a sample."""
+    slides = sliding(sample)
+    by_joint = np.zeros(slides.shape)
+    by_joint[slides] = residual
+    return float(np.mean([memory_of(by_joint[:, j]) for j in sample.moving]))

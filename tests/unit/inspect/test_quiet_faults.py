@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.inspect.inspection import inspect_log
+from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.robot.file import load_robot
 from tests import Array
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
@@ -49,7 +49,7 @@ def test_gravity_turned_round_is_found_with_and_without_inertials(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("shift", "expected"), [(0.6, True), (0.0, False)])
+@pytest.mark.parametrize(("shift", "expected"), [(0.25, True), (0.0, False)])
 def test_a_zero_is_told_by_the_equations_of_all_joints_without_inertials(
     shift: float, expected: bool, tmp_path: Path
 ) -> None:
@@ -58,6 +58,32 @@ def test_a_zero_is_told_by_the_equations_of_all_joints_without_inertials(
     wide = {"[-2.7, 0.3]": "[-4.0, 4.0]"} if shift else {}
     found = inspected(columns, tmp_path, BARE | wide)
     assert found == ([("position_zero", "shoulder_lift")] if expected else [])
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, ""), (40.0, "effort_limits")])
+def test_torques_beyond_all_limits_have_another_unit(
+    factor: float, code: str, tmp_path: Path
+) -> None:
+    columns = read_columns(FOLDER / "validation" / "fourier_1.parquet")
+    for name in SIX:
+        columns[f"{name}.current"] *= factor
+    found = inspected(columns, tmp_path, BARE)
+    assert {each for each, _ in found} == ({code} if code else set())
+
+
+def test_whoever_has_no_inertials_is_asked_for_the_unit_of_the_current(
+    tmp_path: Path,
+) -> None:
+    columns = read_columns(FOLDER / "validation" / "fourier_1.parquet")
+    inspected(columns, tmp_path, BARE)
+    robot = load_robot(tmp_path / "robot.toml")
+    bare = inspect_logs([tmp_path / "log.parquet"], robot)
+    assert "no log tells its unit" in " ".join(bare.advice)
+
+    inspected(columns, tmp_path, {})
+    robot = load_robot(tmp_path / "robot.toml")
+    weighed = inspect_logs([tmp_path / "log.parquet"], robot)
+    assert "its unit" not in " ".join(weighed.advice)
 
 
 def noise(kind: str, count: int) -> Array:

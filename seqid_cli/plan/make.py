@@ -31,6 +31,7 @@ from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
 from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.sweeps import plan_friction, plan_imu
+from seqid_cli.plan.ways import note_on_ways
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry
 from seqid_cli.shares import percent
@@ -122,7 +123,7 @@ def make_plan(
         speed_scale=options.speed_scale,
         verdicts=verdicts,
         settings=used_settings(settings),
-        notes=_notes(belief, options),
+        notes=_notes(belief, options, moves),
     )
 
 
@@ -277,7 +278,9 @@ def _separation_verdict(separation: EffectSeparation, min_power: float) -> Verdi
     return Verdict(good=separation.power >= min_power, reason="; ".join(sentences))
 
 
-def _notes(belief: Belief, options: PlanOptions) -> list[str]:
+def _notes(
+    belief: Belief, options: PlanOptions, moves: Sequence[PlannedMove]
+) -> list[str]:
     """Say what was assumed of limits, floor and shapes, and what was not checked."""
     robot = belief.robot
     limits = belief.limits
@@ -309,7 +312,7 @@ def _notes(belief: Belief, options: PlanOptions) -> list[str]:
         notes.append(
             "links keep 2 cm from each other and from boxes, meshes by convex hulls"
         )
-    notes.append("the ways between moves are not checked")
+    notes.append(note_on_ways(belief, moves))
 
     still = names[~limits.moves]
     if len(still):

@@ -131,7 +131,7 @@ def _shifts(
 
 
 def _memory(sample: Sample, residual: Array) -> float:
-    """Return how many rows count as one, by a `structural_residual` (R,) of a sample."""
+    """Return how many rows count as one, by a `structural_residual` (R,)."""
     slides = sliding(sample)
     by_joint = np.zeros(slides.shape)
     by_joint[slides] = residual

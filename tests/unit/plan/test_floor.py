@@ -2,6 +2,7 @@
 asked.
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.motion.planned import sampled
+from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import belief_of
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
@@ -18,6 +21,7 @@ from seqid_cli.plan.moves.floor import Floor, floor_of
 from seqid_cli.plan.moves.strokes import postures_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.settings import MarginSettings, PlanSettings
+from seqid_cli.plan.ways import note_on_ways
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import geometry_of
@@ -84,6 +88,40 @@ def test_no_planned_move_goes_below_the_base(pole: Robot, what: str) -> None:
     for move in planned.moves:
         assert lowest_by_hand(sampled(move, pole.joint_names, 200.0)[1]).min() > 0.0
     assert any("base plane" in note and "--no-floor" in note for note in planned.notes)
+
+
+def test_ways_between_moves_that_are_not_free_are_told(pole: Robot) -> None:
+    """From one side to the other a straight way leads through the floor."""
+    names = pole.joint_names
+
+    def held(name: str, q: tuple[float, float]) -> PlannedMove:
+        start = dict(zip(names, q, strict=True))
+        return PlannedMove(
+            name=name, stage="inertia", joints=[], duration_s=1.0, start=start
+        )
+
+    belief = belief_of(
+        pole, Stages(), limits_of(pole, ramp_s=0.5), floor=floor_for(pole)
+    )
+    aside = held("aside", (0.0, 0.0))
+    up = held("up", (1.5, 0.0))
+    note = note_on_ways(belief, [aside, up])
+    assert "are free" in note
+
+    leaning = held("leaning", (1.8, 0.2))
+    folded = held("folded", (-2.4, -1.9))
+    ends = np.array([list(move.start.values()) for move in (leaning, folded)])
+    assert not floor_for(pole).below(ends).any()
+    note = note_on_ways(belief, [aside, leaning, folded])
+    assert "1 of 2 are not free" in note
+    assert "those to folded" in note
+
+    # The posture that it names leads round.
+    angles = re.search(r"by way of j0 (\S+), j1 (\S+) rad all of them are", note)
+    assert angles is not None
+    posture = np.array([float(angle) for angle in angles.groups()])
+    for end in ends:
+        assert lowest_by_hand(np.linspace(end, posture, 500)).min() > 0.0
 
 
 def test_the_height_that_is_kept_is_a_setting(pole: Robot) -> None:

@@ -12,14 +12,16 @@ from tests.studies import (
     confirmed,
     exported_effects,
     recorded,
+    recorded_all,
     reduced,
     settings,
+    situations,
     tables,
     unseen,
 )
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
-from tests.studies.planned import errors, separation
+from tests.studies.planned import errors, floor, separation
 from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
 
@@ -41,7 +43,9 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "unseen": ("evidence/unseen.md", unseen.study),
     "planned_errors": ("evidence/planned.md", errors.study),
     "planned_separation": ("evidence/planned.md", separation.study),
+    "planned_floor": ("evidence/planned.md", floor.study),
     "recorded_effects": (RECORDED, recorded.effects),
+    "recorded_all": (RECORDED, recorded_all.study),
     "reduced": (RECORDED, reduced.study),
     "ingestion": (COSTS, ingestion.study),
     "kernels": (COSTS, kernels.study),
@@ -52,6 +56,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "exported_step": (COSTS, exported.study),
     "exported_effects": ("evidence/exported.md", exported_effects.study),
     "settings": ("reference/settings.md", settings.study),
+    "situations": ("evidence/situations.md", situations.study),
 }
 USUAL = ("one_joint", "two_joint", "six_joint", "recorded")  # where none is named
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig

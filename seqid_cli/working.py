@@ -21,8 +21,18 @@ def step(text: str, done: int, total: int) -> None:
 
 @contextlib.contextmanager
 def heard_by(listener: Listener) -> Iterator[None]:
-    """Let a listener hear the steps of the work in this block."""
-    token = _listener.set(listener)
+    """Let a listener hear the steps of the work in this block.
+
+    Whoever listens outside of the block hears them as well.
+    """
+    outer = _listener.get()
+
+    def both(done: int, total: int, text: str) -> None:
+        listener(done, total, text)
+        if outer is not None:
+            outer(done, total, text)
+
+    token = _listener.set(both)
     try:
         yield
     finally:

@@ -163,6 +163,8 @@ class CommandRun:
 
     def on_progress(self, progress: "Progress") -> None:
         """Show what a function reports before, during and after each log."""
+        if progress.state == "step":  # the line hears them by itself
+            return
         if progress.state == "note":
             with self._line.hidden():
                 self.screen.note(progress.text)

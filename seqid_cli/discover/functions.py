@@ -17,7 +17,7 @@ from seqid_cli.discover.refinement.log_sets import (
 )
 from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
-from seqid_cli.identify.options import Keywords, documented
+from seqid_cli.identify.options import Keywords, documented, tells_steps
 from seqid_cli.logs.given import Logs, PathLike, optional
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import (
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 
 @documented(Keywords)
+@tells_steps
 def diagnose(
     logs: Logs,
     robot: PathLike | Robot,
@@ -100,6 +101,7 @@ def diagnose(
 
 
 @documented(Keywords)
+@tells_steps
 def refine(
     logs: Logs,
     holdout: Logs,

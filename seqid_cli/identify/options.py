@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar
 
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.settings import InertiaSettings
 from seqid_cli.logs.reading import ALL, LogPart, Reading, TimeSource
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
     from seqid_cli.inspect.progress import Progress
@@ -160,7 +162,8 @@ ENTRIES = {
     ),
     "output": "path, optional\n    Where the document is written as well.",
     "on_progress": (
-        "callable, optional\n    Given a `Progress` before and after each log."
+        "callable, optional\n    Given a `Progress` before and after each log, and at"
+        " each step of a search."
     ),
     "executor": (
         "concurrent.futures.Executor, optional\n    Who reads and reduces the logs (see"
@@ -207,3 +210,22 @@ def documented(keywords: type[Keywords]) -> Callable[[F], F]:
         return function
 
     return decorate
+
+
+def tells_steps(function: F) -> F:
+    """Let the `on_progress` of a call hear the steps of a search, beside the logs."""
+
+    @functools.wraps(function)
+    def told(*arguments: Any, **keywords: Any) -> object:
+        on_progress: OnProgress | None = keywords.get("on_progress")
+        if on_progress is None:
+            return function(*arguments, **keywords)
+        from seqid_cli.inspect.progress import Progress
+
+        def hear(done: int, total: int, text: str) -> None:
+            on_progress(Progress(state="step", done=done, total=total, text=text))
+
+        with heard_by(hear):
+            return function(*arguments, **keywords)
+
+    return told  # type: ignore[return-value]

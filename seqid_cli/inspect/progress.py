@@ -1,4 +1,4 @@
-"""What a function reports of each log while it works."""
+"""What a function reports while it works."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,14 +28,18 @@ class LogNote:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of a function, reported before a log is read and after it was worked on.
+    """Progress of a function: of its logs, and of a search.
+
+    Of logs it is reported before one is read and after it was worked on.
 
     `done` logs of `total` are worked on. `log` is the one that comes next, is done or
     has failed. `note` says of "done" what was read, `error` of "failed" why the log is
-    left out, `text` of "note" and "detail" what the function is doing.
+    left out, `text` of "note" and "detail" what the function is doing. Of a "step" of a
+    search, `text` is what begins, and `done` and `total` count parts of it instead of
+    logs.
     """
 
-    state: Literal["reading", "done", "failed", "note", "detail"]
+    state: Literal["reading", "done", "failed", "note", "detail", "step"]
     done: int = 0
     total: int = 0
     log: str = ""

@@ -27,6 +27,7 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
+from seqid_cli.working import heard_by
 from tests import ROOT
 from tests.unit.params.documents import diagnosis_file
 
@@ -151,6 +152,19 @@ def test_progress_is_told() -> None:
     assert done == [(k, len(logs), str(log)) for k, log in enumerate(logs, start=1)]
     notes = [one.note for one in told if one.note is not None]
     assert all(note.samples > 0 and note.rate_hz > 0.0 for note in notes)
+
+
+def test_steps_of_a_search_are_told_as_well() -> None:
+    told: list[Progress] = []
+    heard: list[str] = []
+    path, *_ = sorted((SAMPLES / "validation").glob("*.parquet"))
+    with heard_by(lambda done, total, text: heard.append(text)):
+        discover.diagnose(path, ROBOT, GOLDEN, on_progress=told.append)
+    steps = [one for one in told if one.state == "step"]
+    assert [one.text for one in steps] == heard  # whoever listens outside hears them
+    assert "choosing effects" in heard
+    assert all(0 <= one.done <= one.total for one in steps)
+    assert [one.log for one in told if one.state == "done"] == [str(path)]
 
 
 def test_logs_that_fail_are_left_out_of_one_least_squares(tmp_path: Path) -> None:

@@ -80,7 +80,12 @@ def study(chosen: Namespace) -> str:
     cases |= {name: name for name in names}
     path = chosen.cache / "floor.jsonl"
     found = results(
-        cases, planned, Planned, path, told=lambda x: x.refused or f"{x.lowest:.3f}"
+        cases,
+        planned,
+        Planned,
+        path,
+        processes=chosen.processes,
+        told=lambda x: x.refused or f"{x.lowest:.3f}",
     )
     rows = []
     for shapes, kind in ((True, "with shapes"), (False, "without shapes")):

@@ -4,6 +4,8 @@ import math
 
 MORE_DIGITS = 2  # that keep a small share from reading 0 %, and a large one 100 %
 
+LARGEST_SHARE = 1e4  # that is printed
+
 
 def change(before: float, after: float, least: float = 0.0) -> float:
     """Return a change as a share of what was before: 5.44 to 8.30 is +0.53.
@@ -39,10 +41,14 @@ def percent(share: float, digits: int = 1) -> str:
     """Return a share in percent, "12.3 %".
 
     It has `digits` decimals, and more where it would else be rounded to 0 % or 100 %:
-    a reader takes these for nothing and for all. A share that is not finite is "-".
+    a reader takes these for nothing and for all. A share that is not finite is "-", and
+    one beyond `LARGEST_SHARE` no more than that: its whole is next to nothing.
     """
     if not math.isfinite(share):
         return "-"
+    if abs(share) > LARGEST_SHARE:
+        bound = f"{100.0 * LARGEST_SHARE:.0f} %"
+        return f"> {bound}" if share > 0.0 else f"< -{bound}"
     for decimals in range(digits, digits + MORE_DIGITS + 1):
         text = f"{100.0 * share:.{decimals}f}"
         if share in (0.0, 1.0) or abs(float(text)) not in (0.0, 100.0):

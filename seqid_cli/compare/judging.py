@@ -19,6 +19,7 @@ from seqid_cli import shares
 from seqid_cli.params.results.comparison import Difference, RuleEntry
 
 Pair = tuple[float, float]  # of the first and of the second file
+NOT_DETERMINED = "not determined by the logs of a file"
 K = TypeVar("K")
 V = TypeVar("V")
 
@@ -27,7 +28,7 @@ def judged(
     place: Difference,
     rule: RuleEntry,
     values: Pair,
-    std_errors: Pair = (0.0, 0.0),
+    std_errors: tuple[float | None, float | None] = (0.0, 0.0),
     *,
     least: float = 0.0,
 ) -> Difference:
@@ -40,13 +41,19 @@ def judged(
     rule : RuleEntry
         Limits of a change.
     values, std_errors : pair of float
-        The number in both files, and its standard errors (0: it has none).
+        The number in both files, and its standard errors: 0 of one that has none, None
+        of one that its logs do not determine. The latter says nothing of a change.
     least : float
         Size that the number has at least, in its own unit.
     """
     a, b = values
-    std_error = math.hypot(*std_errors)
     relative = shares.change(a, b, least)
+    first_error, second_error = std_errors
+    if first_error is None or second_error is None:
+        return replace(
+            place, a=a, b=b, relative=relative, remark=NOT_DETERMINED, different=False
+        )
+    std_error = math.hypot(first_error, second_error)
     sigmas = abs(b - a) / std_error if std_error > 0.0 else None
 
     within_errors = False

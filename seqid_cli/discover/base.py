@@ -459,7 +459,7 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
         return np.zeros((0, size))
     joint = stage.joints[name]
     if joint.parameters:
-        std_errors = [max(x.std_error, 1e-12) for x in joint.parameters]
+        std_errors = [max(x.uncertainty, 1e-12) for x in joint.parameters]
         return np.diag([1.0 / std_error for std_error in std_errors])
 
     rows = _held_where_tied(np.array(joint.covariance))

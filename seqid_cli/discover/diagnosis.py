@@ -54,12 +54,12 @@ from seqid_cli.effects.apply import without_effects
 from seqid_cli.effects.effect import Effect
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.effects.registry import CATALOGUE, catalogue_of
-from seqid_cli.effects.units import UNDETERMINED_STD_ERROR, Value
+from seqid_cli.effects.units import Value
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import UNDETERMINED_STD_ERROR, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import rms
 from seqid_cli.typing import Array

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sized
 
 UNEXPLAINED = "unexplained"
-# Standard error from which on no sample shows a parameter; files hold no larger one.
-UNDETERMINED_STD_ERROR = 1e29
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Channels are compared with each other without samples that are known to be damaged.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from msgspec import structs
 
 from seqid_cli.inspect.channels import clock, commands, positions, torques
 from seqid_cli.inspect.channels.positions import Break
+from seqid_cli.inspect.channels.values import missing
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.angles import unit_by_equations
 from seqid_cli.inspect.dynamics.equations import geometry_findings
@@ -52,6 +53,7 @@ SPOIL: Codes = frozenset(
         "effort_sign_bit",
         "gear_inverse",
         "values_absurd",
+        "values_lost",
     }
 )
 # Units of angles, of which the equations know more than the sizes of positions.
@@ -130,13 +132,14 @@ _EXPLANATIONS = (
         anywhere=True,
     ),
     Explanation(
+        causes=frozenset({"values_lost"}), explained=frozenset({"channel_hole"})
+    ),
+    Explanation(
         causes=frozenset({"gyro_in_degrees"}), explained=frozenset({"gyro_bias"})
     ),
 )
 # Findings that a clock which scatters makes of sound values.
-_UNEVEN: Codes = frozenset(
-    {"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"}
-)
+_UNEVEN: Codes = frozenset({"velocity_inconsistent", "speed_limit", "position_jump"})
 
 
 def check(
@@ -173,6 +176,10 @@ def check(
         findings.append(finding_of("salvaged", data.recording.partial))
     of_torques = [*torques.torque_findings(data), *torques.echo_findings(data)]
     findings += of_torques
+    of_missing = [*_missing_values(data)]
+    if not quality:
+        of_missing = [f for f in of_missing if f.severity == "error"]
+    findings += of_missing
     if quality:
         spoilt_joints = {f.joint for f in of_torques if f.code in SPOIL}
         findings += torques.torque_quality(data, spoilt_joints)
@@ -212,6 +219,23 @@ def without(data: LogData, breaks: Sequence[Break]) -> LogData:
     gaps = tuple(sorted({*log.health.gaps, *recording.health.gaps}))
     health = replace(log.health, gaps=gaps, resampled=recording.health.resampled)
     return replace(data, raw=raw, recording=replace(recording, health=health))
+
+
+def _missing_values(data: LogData) -> Iterator[InspectionFinding]:
+    """Find values that are missing in the position and the torque of every joint."""
+    columns = [("position", data.joints.channels["position"])]
+    effort = data.effort()
+    if effort is not None:
+        columns.append(effort)
+    for quantity, values in columns:
+        for j, name in enumerate(data.robot.joint_names):
+            yield from missing(
+                values[:, j],
+                data.t,
+                name,
+                quantity,
+                data.settings.channels.max_missing,
+            )
 
 
 def _all_spoilt(findings: Sequence[InspectionFinding]) -> bool:

@@ -25,6 +25,9 @@ ERRORS: Mapping[str, str] = {
     "values_absurd": (
         "Look at the driver of the channel; the values were taken as missing."
     ),
+    "values_lost": (
+        "Log every sample; where the channel is slower, log it at even distances."
+    ),
     "time_unit": 'Write time_unit = "ms" (or us, ns) under [channels], or log seconds.',
     "time_scale": (
         "Use the log as it was recorded first; where velocities are in another unit,"

@@ -35,6 +35,8 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
+# What is nearer to zero in SI units is below the resolution of any sensor.
+NOTHING = 1e-12
 
 
 def read_recording(
@@ -230,20 +232,27 @@ def _bridged(repair: Mended, base: Base) -> Mask | None:
 
 
 def without_absurd(
-    stream: Stream, warnings: list[str], *, most: float = ABSURD
+    stream: Stream, warnings: list[str], *, most: float = ABSURD, least: float = NOTHING
 ) -> Stream:
-    """Treat values that are infinite or larger than `most` as missing, and say so."""
+    """Treat values that are infinite or larger than `most` as missing, and say so.
+
+    Those smaller than `least` are zero: squares of them would vanish by rounding.
+    """
     channels: dict[str, Array] = {}
     n_absurd = 0
     for name, values in stream.channels.items():
-        is_absurd = np.abs(values) > most
+        size = np.abs(values)
+        is_absurd = size > most
         n_absurd += int(np.count_nonzero(is_absurd))
         channels[name] = values
         if is_absurd.any():
             channels[name] = np.where(is_absurd, np.nan, values)
+        is_nothing = (size < least) & (size > 0.0)
+        if is_nothing.any():
+            channels[name] = np.where(is_nothing, 0.0, channels[name])
 
     if not n_absurd:
-        return stream
+        return replace(stream, channels=channels)
     warnings.append(
         f"{stream.name}: {n_absurd} values are infinite or beyond {most:g}; taken as"
         " missing"

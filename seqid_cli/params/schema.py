@@ -16,6 +16,10 @@ SCHEMA = "seqid/params@1"
 
 Matrix = list[list[float]]
 
+# Standard error from which on no sample shows a parameter. Fits compute with it; files
+# say null.
+UNDETERMINED_STD_ERROR = 1e29
+
 
 class Tool(Struct, kw_only=True):
     """The program that wrote a file."""
@@ -125,16 +129,26 @@ class Parameter(Struct, kw_only=True):
     """One identified parameter.
 
     `terms` is the expression as factors of standard link parameters, `expression` the
-    same to read.
+    same to read. `std_error` is null where the logs do not determine the value.
     """
 
     name: str
     value: float
-    std_error: float
+    std_error: float | None
     unit: str
     joint: str = ""
     expression: str = ""
     terms: dict[str, float] = {}
+
+    def __post_init__(self) -> None:
+        """Take an error that nothing determines for none: earlier files state it."""
+        if self.std_error is not None and self.std_error >= UNDETERMINED_STD_ERROR:
+            self.std_error = None
+
+    @property
+    def uncertainty(self) -> float:
+        """Return the standard error to compute with, huge where there is none."""
+        return UNDETERMINED_STD_ERROR if self.std_error is None else self.std_error
 
 
 class SpeedLevel(Struct, kw_only=True):

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from seqid_cli.effects.units import UNDETERMINED_STD_ERROR, UNEXPLAINED
+from seqid_cli.effects.units import UNEXPLAINED
 from seqid_cli.params.schema import Parameter, ParameterFile
 from seqid_cli.report import words
 from seqid_cli.visible import visible
@@ -58,7 +58,7 @@ def _groups(file: ParameterFile) -> Iterator[tuple[str, list[str]]]:
 def _row(item: Parameter) -> str:
     """Return the row of one parameter."""
     value, error = words.DASH, "not determined"
-    if item.std_error < UNDETERMINED_STD_ERROR:
+    if item.std_error is not None:
         value, error = words.with_error(item.value, item.std_error)
     cells = [
         f"${_symbol(item.name)}$",

@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 from markupsafe import Markup
 
 from seqid_cli import __version__
-from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict
@@ -106,7 +105,7 @@ def value_row(
     tuple of str
     """
     unit = words.unit_text(unit)
-    if value is None or error is None or error >= UNDETERMINED_STD_ERROR:
+    if value is None or error is None:
         return name, "not determined", words.DASH, words.DASH, unit
     shown_value, shown_error = words.number(value), "fixed"
     if error > 0.0:

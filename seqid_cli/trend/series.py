@@ -150,6 +150,8 @@ def _estimates(
         if stage is None:
             continue
         for p in stage.parameters:
+            if p.std_error is None:
+                continue  # it says nothing of the robot
             quantity = Quantity(stage_name, p.joint, p.name, p.unit)
             yield quantity, Estimate(p.value, p.std_error, np.nan)
 

@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping, Sequence
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.effects.units import (
-    UNDETERMINED_STD_ERROR,
     UNEXPLAINED,
     smooth_in_words,
 )
@@ -207,7 +206,7 @@ def parameters_text(effect: diagnosis.FindingEntry | EffectOfJoint) -> str:
     undetermined = []
     for parameter in effect.parameters:
         std_error = parameter.std_error
-        if std_error is None or std_error >= UNDETERMINED_STD_ERROR:
+        if std_error is None:
             undetermined.append(parameter.name)
             continue
         value = f"{number(parameter.value)} +- {number(std_error, 2)}"

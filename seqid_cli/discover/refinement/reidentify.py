@@ -646,13 +646,13 @@ def _values(stages: Stages, fit: Model) -> _Values:
     for number, name in enumerate(fit.ground.base.basis.names):
         if name in rigid:
             values[number] = rigid[name].value
-            std_errors[number] = rigid[name].std_error
+            std_errors[number] = rigid[name].uncertainty
 
     for name, at in zip(names, where[1:], strict=False):
         joint = stages.friction.joints.get(name) if stages.friction else None
         if joint is not None and joint.parameters:
             values[at] = [parameter.value for parameter in joint.parameters]
-            std_errors[at] = [parameter.std_error for parameter in joint.parameters]
+            std_errors[at] = [parameter.uncertainty for parameter in joint.parameters]
     return _Values(values=values, std_errors=std_errors)
 
 

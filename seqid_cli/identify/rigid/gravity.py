@@ -203,7 +203,7 @@ def _result(
         names = ", ".join(rows.skipped_joints)
         notes.append(f"trials without a friction surface left out: {names}")
     shows_gravity = [
-        abs(p.value) >= settings.shown_sigma * p.std_error for p in stage.parameters
+        abs(p.value) >= settings.shown_sigma * p.uncertainty for p in stage.parameters
     ]
     if not any(shows_gravity):
         notes.append(NO_GRAVITY)

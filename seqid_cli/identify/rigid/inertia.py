@@ -168,11 +168,13 @@ def _encoder_equations(equations: InertiaEquations) -> InertiaEquations | None:
 
 def _with_encoder_errors(stage: RigidStage, encoder_stage: RigidStage) -> RigidStage:
     """Add the standard errors that the encoders alone would have."""
-    by_encoders = {p.name: p.std_error for p in encoder_stage.parameters}
+    by_encoders = {
+        p.name: p.std_error for p in encoder_stage.parameters if p.std_error is not None
+    }
     ratios = [
         by_encoders[p.name] / max(p.std_error, 1e-300)
         for p in stage.parameters
-        if p.name in by_encoders
+        if p.name in by_encoders and p.std_error is not None
     ]
     notes = list(stage.notes)
     if ratios:

@@ -75,7 +75,7 @@ def _is_negative_rotor(parameter: Parameter, settings: JudgingSettings) -> bool:
         factor > 0.0 and name.startswith("Ia_")
         for name, factor in parameter.terms.items()
     )
-    least = -settings.clear_sigma * parameter.std_error
+    least = -settings.clear_sigma * parameter.uncertainty
     return bool(is_rotor) and parameter.value < least
 
 

@@ -24,6 +24,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
+NO_TORQUE = "its torque is zero in all rows: nothing is known of it"
+
 
 def parameters_of(
     robot: Robot, basis: Basis, chosen: Index, theta: Array, covariance: Array
@@ -200,7 +202,11 @@ def joint_verdicts(
             verdicts.append(Verdict(joint=joint.name, good=False, reason=idle))
             continue
         residual_rms = float(solution.sigma[j])
-        share = residual_rms / max(float(np.sqrt(squares[j] / rows.samples)), 1e-300)
+        torque_rms = float(np.sqrt(squares[j] / rows.samples))
+        if torque_rms == 0.0:
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=NO_TORQUE))
+            continue
+        share = residual_rms / torque_rms
         unit = joint.unit("N m")
         reason = f"leaves {percent(share)} of the torque ({residual_rms:.3g} {unit})"
         if noise.high[j] > 0.0:

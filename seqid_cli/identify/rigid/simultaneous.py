@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec.structs import replace as replace_fields
 
-from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.bands.calibrate import calibrate
 from seqid_cli.identify.bands.left_out import Fit
@@ -246,7 +245,7 @@ class OneStepResult:
         covariance = self.solution.covariance[places, places]
         # Not of waves: a diagnosis starts from these errors, of this very law.
         std_errors = np.sqrt(np.maximum(np.diag(self.posterior.stated)[places], 0.0))
-        std_errors[~self.solution.determined[places]] = UNDETERMINED_STD_ERROR
+        std_errors[~self.solution.determined[places]] = schema.UNDETERMINED_STD_ERROR
 
         ahead, back = surface_entries(fastest, len(rows.terms))
         directional = len(rows.terms) == len(FRICTION_TERMS)

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import structs
 from scipy.ndimage import median_filter
 
-from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
+from seqid_cli.inspect.channels.values import equal_runs, held, lattice
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.scales import Scale, angle_scales
@@ -93,7 +93,7 @@ def position_quality(
     data : LogData
         The log.
     broken : container of str
-        Joints of which only missing values are looked for.
+        Joints that are left out.
     """
     settings = data.settings.channels
     for j, joint in enumerate(data.robot.joints):
@@ -101,7 +101,6 @@ def position_quality(
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        yield from missing(column, data.t, joint.name, "position", settings.max_missing)
         if joint.name in broken:
             continue
 

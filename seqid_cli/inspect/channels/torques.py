@@ -10,7 +10,6 @@ from seqid_cli.inspect.channels.values import (
     equal_runs,
     held,
     lattice,
-    missing,
 )
 from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.weights import HEAVY, largest_gravity
@@ -178,7 +177,7 @@ def torque_quality(
     data : LogData
         The log.
     broken : container of str
-        Joints of which only missing values are looked for.
+        Joints that are left out.
     max_step : float
         Step of the channel, as a share of the torque's spread.
     max_changing : float
@@ -191,9 +190,6 @@ def torque_quality(
     quantity, all_values = effort
     for j, name in enumerate(data.robot.joint_names):
         column = all_values[:, j]
-        yield from missing(
-            column, data.t, name, quantity, data.settings.channels.max_missing
-        )
         if not data.moves(j) or name in broken:
             continue
         present = np.isfinite(column)

@@ -11,6 +11,10 @@ from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
 
+# Of a channel's values, missing at uneven distances, from which on what is left is no
+# record of it: three of four are then made up.
+LOST_SHARE = 0.75
+
 
 def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
     """Return stretches [start, stop) of `least` equal values of a channel, or more."""
@@ -124,9 +128,10 @@ def missing(
 ) -> Iterator[InspectionFinding]:
     """Find values that are missing at uneven distances.
 
-    Values of a slower channel are missing evenly: that is no fault. Nor are those of a
-    table into which rows of two clocks were merged: they are uneven by row, and even by
-    their stamps.
+    Where `LOST_SHARE` of them are, that is an error: bridges between few values are no
+    measurement. Values of a slower channel are missing evenly: that is no fault. Nor
+    are those of a table into which rows of two clocks were merged: they are uneven by
+    row, and even by their stamps.
 
     Parameters
     ----------
@@ -153,4 +158,5 @@ def missing(
     share_of_time = 1.0 - covered_time / max(float(times[-1] - times[0]), 1e-300)
     if min(share, share_of_time) > max_missing:
         text = f"{percent(share)} of the values are missing"
-        yield finding_of("values_missing", text, joint, channel)
+        code = "values_lost" if share > LOST_SHARE else "values_missing"
+        yield finding_of(code, text, joint, channel)

@@ -154,7 +154,7 @@ def identified(
         basis=basis,
         rows=tuple(rows),
         values=values[rows],
-        errors=np.array([parameter.std_error for parameter in determined.parameters]),
+        errors=np.array([parameter.uncertainty for parameter in determined.parameters]),
         covariance=determined.covariance,
         moves=determined.moves,
         given_rotors=given_rotors,
@@ -191,7 +191,7 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> _Determined:
         ]
         parameters += [stage.parameters[k] for k in new]
 
-        errors = np.array([parameter.std_error for parameter in stage.parameters])
+        errors = np.array([parameter.uncertainty for parameter in stage.parameters])
         covariance = np.diag(errors**2)
         if stage.covariance:
             covariance = np.array(stage.covariance)

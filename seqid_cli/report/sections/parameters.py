@@ -163,7 +163,7 @@ def _differing_values(name: str, stage: RigidStage, model: Model) -> dict[str, s
     if not differs:
         return {}
     return {
-        item.name: words.with_error(item.value, item.std_error)[0]
+        item.name: words.with_error(item.value, item.uncertainty)[0]
         for item in other_stage.parameters
     }
 
@@ -173,7 +173,7 @@ def _note_on_zero(stage: RigidStage) -> str:
     names = [
         item.name
         for item in stage.parameters
-        if abs(item.value) < words.Z95 * item.std_error
+        if abs(item.value) < words.Z95 * item.uncertainty
     ]
     if not names:
         return ""

@@ -14,9 +14,8 @@ import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgspec import structs
+from msgspec.structs import replace
 
-from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import io
 from seqid_cli.params.document import (
@@ -30,8 +29,14 @@ from seqid_cli.params.document import (
 from seqid_cli.params.encode import LARGEST, encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
-from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
+from seqid_cli.params.schema import (
+    SCHEMA,
+    UNDETERMINED_STD_ERROR,
+    EffectOfJoint,
+    Stages,
+)
 from tests import ROOT
+from tests.senseless import senseless
 from tests.unit.params import documents as made
 from tests.unit.params.documents import (
     diagnosis_file,
@@ -67,14 +72,14 @@ def test_what_came_into_a_refinement_is_kept_where_it_has_changed() -> None:
     model = Stages(friction=old.friction, gravity=old.gravity, inertia=old.inertia)
     effects = [EffectOfJoint(effect="stribeck", joint="elbow")]
     assert stages_before(before, Stages(effects=effects)) is None
-    assert stages_before(before, structs.replace(old, effects=effects)) is None
+    assert stages_before(before, replace(old, effects=effects)) is None
 
     new = Stages(friction=made.friction_stage(good=False), effects=effects)
     assert new.friction != old.friction
     assert stages_before(before, new) == model
 
     # A second refinement keeps what came into the first.
-    loop = structs.replace(made.closed_loop(), incoming=model)
+    loop = replace(made.closed_loop(), incoming=model)
     once = refined(before, robot(), [log("e", "effects")], new, loop)
     assert stages_before(once, Stages(effects=effects)) == model
 
@@ -182,12 +187,27 @@ def test_text_is_json_of_rounded_numbers(document: object, value: float) -> None
     )
 
 
-def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", [None, LARGEST, 1e150])
+def test_what_no_sample_shows_has_no_error(error: float | None, tmp_path: Path) -> None:
     file = full_file()
-    file.stages.gravity.parameters[0].std_error = 1e150
-    (tmp_path / "p.json").write_text(encode(file))
+    stage = file.stages.gravity
+    stage.parameters[0] = replace(stage.parameters[0], std_error=error)
+    text = encode(file)
+    assert not list(senseless(json.loads(text)))
+    (tmp_path / "p.json").write_text(text)
+    parameter = read_parameters(tmp_path / "p.json").stages.gravity.parameters[0]
+    assert parameter.std_error is None
+    assert parameter.uncertainty == UNDETERMINED_STD_ERROR
+
+
+def test_an_error_of_an_earlier_file_that_nothing_determines_is_none(
+    tmp_path: Path,
+) -> None:
+    document = json.loads(encode(full_file()))
+    document["stages"]["gravity"]["parameters"][0]["std_error"] = LARGEST
+    (tmp_path / "p.json").write_text(json.dumps(document))
     stage = read_parameters(tmp_path / "p.json").stages.gravity
-    assert stage.parameters[0].std_error == LARGEST == UNDETERMINED_STD_ERROR
+    assert stage.parameters[0].std_error is None
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -1,0 +1,62 @@
+"""Torques that say nothing: no bug, no number that nobody can mean, no verdict above
+poor.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.commands.conftest import Rig
+from tests.senseless import senseless
+from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
+
+RIG = SAMPLES / "one_joint"
+ROBOT = ("-r", str(RIG / "robot.toml"))
+TRIAL = RIG / "friction" / "joint_1.parquet"
+FOURIER = RIG / "validation" / "fourier_1.parquet"
+
+
+def scaled_log(folder: Path, source: Path, factor: float) -> str:
+    columns = read_columns(source)
+    columns["joint_1.current"] *= factor
+    write_columns(folder / "log.parquet", columns)
+    return "log.parquet"
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-300, 1e-320])
+def test_friction_of_no_torque_is_told_by_its_channel(rig: Rig, factor: float) -> None:
+    log = scaled_log(rig.folder, TRIAL, factor)
+    done = rig.run("friction", log, *ROBOT, "-o", "f.json")
+    assert done.code == 1
+    assert "[torque_zero] joint_1 current" in done.err
+    assert "seqid inspect says what it holds" in done.err
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-300])
+def test_no_torque_has_no_share(rig: Rig, factor: float) -> None:
+    log = scaled_log(rig.folder, FOURIER, factor)
+    assert rig.run("simultaneous", log, *ROBOT, "-o", "s.json").code == 0
+    document = json.loads((rig.folder / "s.json").read_text())
+    assert not list(senseless(document))
+    verdicts = document["stages"]["inertia"]["verdicts"]
+    assert {verdict["level"] for verdict in verdicts} == {"poor"}
+    reasons = [verdict["reason"] for verdict in verdicts]
+    assert "its torque is zero in all rows: nothing is known of it" in reasons
+
+
+@pytest.mark.parametrize("channel", ["position", "current"])
+def test_a_channel_that_is_mostly_missing_makes_no_good_model(
+    rig: Rig, channel: str
+) -> None:
+    columns = read_columns(TRIAL)
+    values = columns[f"joint_1.{channel}"]
+    values[np.random.default_rng(0).random(len(values)) < 0.9] = np.nan
+    write_columns(rig.folder / "log.parquet", columns)
+    seen = rig.run("inspect", "log.parquet", *ROBOT)
+    assert seen.code == 1
+    assert "[values_lost]" in seen.out + seen.err
+    done = rig.run("friction", "log.parquet", *ROBOT, "-o", "f.json", "--strict")
+    assert done.code == 1
+    assert "[values_lost] joint_1" in done.err

@@ -146,7 +146,10 @@ class FrictionSurface:
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> Self:
-        """Build from the parameter file."""
+        """Build from the parameter file.
+
+        Entries of a surface that states no errors are taken as exact.
+        """
         low, high = joint.position_range
         slow, fast = joint.speed_range
         family = family_named(joint.position_basis)
@@ -158,12 +161,17 @@ class FrictionSurface:
             family=family,
         )
         thermal = [term.value for term in joint.nuisances if term.name == "thermal"]
+        positive = np.array(joint.positive)
+        n_entries = positive.size * (2 if joint.directional else 1)
+        covariance = np.array(joint.covariance)
+        if covariance.shape != (n_entries, n_entries):
+            covariance = np.zeros((n_entries, n_entries))
         return cls(
             scaling=scaling,
             sign_width=joint.sign_width,
-            positive=np.array(joint.positive),
+            positive=positive,
             negative=np.array(joint.negative),
-            entry_covariance=np.array(joint.covariance),
+            entry_covariance=covariance,
             directional=joint.directional,
             temperature=joint.temperature,
             torque_constant_error=joint.torque_constant_error,
@@ -226,10 +234,7 @@ class FrictionSurface:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance (k, k) of `coefficients`; the file's if that has another size."""
-        size = self.entries
-        if self.entry_covariance.shape != (size, size):
-            return self.entry_covariance
+        """Covariance (k, k) of `coefficients`."""
         errors = np.concatenate(
             [
                 self._errors_of(side, slope)
@@ -322,10 +327,8 @@ class FrictionSurface:
         return np.hstack([basis, basis, extension, extension])
 
     def std_error(self, q: Array, v: Array) -> Array:
-        """Compute the standard error (N,) N m of `torque`; 0 without a covariance."""
+        """Compute the standard error (N,) N m of `torque`."""
         X = self.columns(q, v)
-        if self.covariance.shape != (X.shape[1], X.shape[1]):
-            return np.zeros(len(q))
         variance = np.einsum("nk,kl,nl->n", X, self.covariance, X, optimize=True)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 

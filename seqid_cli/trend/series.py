@@ -194,7 +194,5 @@ def _mean_friction(
 
     # The mean is linear in the coefficients of the surface.
     row = np.mean(direction[:, None] * surface.columns(q, dq), axis=0)
-    if surface.covariance.shape != (len(row), len(row)):
-        return mean, 0.0
     variance = max(row @ surface.covariance @ row, 0.0)
     return mean, float(np.sqrt(variance))

@@ -111,8 +111,6 @@ class ParameterVariance:
             if surface is None:
                 continue
             X = surface.columns(q[:, j], dq[:, j])
-            if surface.covariance.shape != (X.shape[1], X.shape[1]):
-                continue
             variance[:, j] += _quadratic(X, surface.covariance, X)
             if j in self.sensitivity:
                 cross_covariance = self.sensitivity[j] @ surface.covariance

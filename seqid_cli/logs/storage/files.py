@@ -63,6 +63,8 @@ _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
+_SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
+
 State = tuple[int, ...]
 Stamps = tuple[float, float]
 Note = Callable[[str], None]
@@ -344,8 +346,7 @@ def _no_logs(folder: Path, *, looked_at: int = 20) -> InputError:
 def _globbed(pattern: str, note: Note) -> list[Path]:
     """Return the logs that a pattern matches, or else the other files."""
     files: list[Path] = []
-    names = glob.glob(pattern, recursive=True)  # noqa: PTH207 (patterns may be absolute)
-    for path in natural_order(Path(name) for name in names):
+    for path in natural_order(map(Path, dict.fromkeys(_names(pattern)))):
         # A pattern such as logs/** also matches folders and files that are no logs.
         if path.is_dir() and "**" not in pattern:
             files += _logs_in(path, note)
@@ -358,6 +359,55 @@ def _globbed(pattern: str, note: Note) -> list[Path]:
     if pattern.lower().endswith(CSV_SUFFIXES):  # then they are named explicitly
         return logs
     return [path for path in logs if _is_meant(path, note)]
+
+
+def _names(pattern: str) -> Iterator[str]:
+    """Yield what matches a pattern, in which `**` stands for folders of any depth.
+
+    The library's own `**` takes a folder with two links to itself for 2^40 folders.
+    """
+    before, stars, after = pattern.partition("**")
+    is_component = before[-1:] in ("", *_SEPARATORS) and after[:1] in ("", *_SEPARATORS)
+    if not stars or not is_component:
+        yield from glob.iglob(pattern)  # noqa: PTH207 (patterns may be absolute)
+        return
+    rest = after.lstrip("".join(_SEPARATORS))
+    # PTH207: as above.
+    starts = glob.glob(before) if before else [""]  # noqa: PTH207
+    for start in starts:
+        for folder in _folders(start):
+            if rest:
+                yield from _names(str(Path(glob.escape(folder), rest)))
+                continue
+            if folder:
+                yield folder
+            yield from glob.iglob(str(Path(glob.escape(folder), "*")))  # noqa: PTH207
+
+
+def _folders(start: str) -> Iterator[str]:
+    """Yield a folder and the folders in it, at any depth, hidden ones left out.
+
+    Links are followed, and each folder is met once, whatever leads to it.
+    """
+    met: set[tuple[int, int]] = set()
+    waiting = [start]
+    while waiting:
+        folder = waiting.pop()
+        try:
+            state = os.stat(folder or ".")  # noqa: PTH116 ("" is the working folder)
+            entries = sorted(os.scandir(folder or "."), key=lambda entry: entry.name)
+        except OSError:
+            continue  # it is gone, no folder, or closed to its reader
+        place = (state.st_dev, state.st_ino)
+        if place in met:
+            continue
+        met.add(place)
+        yield folder
+        waiting += [
+            str(Path(folder, entry.name))
+            for entry in reversed(entries)
+            if entry.is_dir() and not entry.name.startswith(".")
+        ]
 
 
 def _logs_in(folder: Path, note: Note) -> list[Path]:

@@ -211,3 +211,27 @@ def test_no_room_for_a_copy_is_told(
         temporary_folder("a").__enter__()
     assert caught.value.where == "a"
     assert str(room) in caught.value.hint
+
+
+@pytest.mark.parametrize("pattern", ["**", "**/*.mcap", "{}/**/*.mcap", "*/**/*.mcap"])
+def test_a_folder_that_links_to_itself_is_met_once(
+    pattern: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "logs"
+    (folder / "deep").mkdir(parents=True)
+    for name in ("one", "two"):
+        (folder / name).symlink_to(folder)
+    (folder / "deep" / "log.mcap").write_bytes(b"")
+    monkeypatch.chdir(tmp_path)
+    (path,) = expand([pattern.format(tmp_path)])
+    assert path.resolve() == folder / "deep" / "log.mcap"
+
+
+def test_a_linked_folder_is_looked_into(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "log.mcap").write_bytes(b"")
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "day").symlink_to(tmp_path / "elsewhere")
+    assert expand([f"{tmp_path}/logs/**/*.mcap"]) == [
+        tmp_path / "logs" / "day" / "log.mcap"
+    ]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 
 from seqid_cli.identify.friction_surface import reduction
 from seqid_cli.identify.friction_surface.prior import (
@@ -135,6 +136,12 @@ class SurfaceFit:
         difference = self._grid.columns @ (entries - self.highest_posterior.mean)
         return float(np.sqrt(np.mean((difference / self._grid.std_error) ** 2)))
 
+    def scaled_speeds(self, data: Sequence[SpeedData]) -> Array:
+        """Return the scaled speeds (T,) of trials, as the reduction has them."""
+        speeds = self.reduced.speeds.tolist()
+        u_by_speed = dict(zip(speeds, self.reduced.u.tolist(), strict=True))
+        return np.array([u_by_speed[item.speed] for item in data])
+
     def distances(self, data: Sequence[SpeedData]) -> list[Array]:
         """Return distances (K,) N m of slices from the surface plus trial's offset.
 
@@ -144,7 +151,7 @@ class SurfaceFit:
         over_position = self.reduced.scaling.over_position
         order = over_position.order(self.reduced.size)
         D = self.highest_posterior.mean.reshape(self.prior.shape)[: self.reduced.size]
-        levels = D @ self.reduced.over_speed(self.highest.velocity).T
+        levels = D @ chebvander(self.scaled_speeds(data), self.highest.velocity).T
         distances = []
         for k, item in enumerate(data):
             surface = over_position.values(item.q, order) @ levels[:, k]
@@ -158,10 +165,10 @@ class SurfaceFit:
         values = over_position.values(item.q, over_position.order(self.reduced.size))
         return np.hstack([values, item.edges])
 
-    def trial_variances(self, k: int) -> Array:
-        """Return variances (size + 2,) of trial k's coefficients of `trial_columns`."""
+    def trial_variances(self, item: SpeedData) -> Array:
+        """Return variances (size + 2,) of a trial's coefficients of `trial_columns`."""
         variances = self.sizes.trial_variances(
-            self.reduced.scaling, self.reduced.size, self.reduced.speeds[[k]]
+            self.reduced.scaling, self.reduced.size, np.array([item.speed])
         )
         of_trial = variances.sum(axis=0)[0]
         return np.asarray(of_trial[: self.reduced.size + reduction.EDGES])
@@ -173,7 +180,7 @@ class SurfaceFit:
         share = np.linspace(0.0, 1.0, CELLS)
         order = over_position.order(self.reduced.size)
         X = over_position.values(over_position.at(share), order)
-        T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
+        T = chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
         variance = np.einsum(

@@ -1,15 +1,16 @@
 """Sizes of the terms of a friction surface and of the errors of its trials, from data.
 
-Slices of trial k, reduced (`reduction`), are
+Slices of motion k, reduced (`reduction`), are
 
     z_k = R_k (D phi(u_k) + e_k) + n_k,
 
 D the surface, phi Chebyshev polynomials of the scaled speed, n_k white noise of
-variance s_n^2, and e_k what the trial has for itself: an offset of variance s_t^2 and
-terms of degree j of variance s_s^2 / j, which is how 1/f noise over the length of a
-trial spreads over polynomials; torque of a speed that changes by a share of itself
-along its way, I dv/dt ~ v^2, of variance s_a^2 (v / v_max)^4 / max(j, 1); and at its
-ends what is left of acceleration, of variance s_e^2 (R_k has columns for it). All
+variance s_n^2, and e_k what the motion, a trial as a rule, has for itself: an offset of
+variance s_t^2 and terms of degree j of variance s_s^2 / j, which is how 1/f noise over
+the length of a trial spreads over polynomials; torque of a speed that changes by a
+share of itself along its way, I dv/dt ~ v^2, of variance s_a^2 (v / v_max)^4 / max(j,
+1); and at its ends what is left of acceleration, of variance s_e^2 (R_k has columns for
+it). All
 trials share the error of the inertia whose torque was taken off them, that of how far
 held joints gave way, the delay of the torque and the change of friction per kelvin:
 entries of D beside the surface, of variance 1, whose columns are the torque of one

@@ -1,6 +1,11 @@
-"""Step 1 of the friction surface: each trial as a polynomial of position (Eq. 8).
+"""Step 1 of the friction surface: each motion as a polynomial of position (Eq. 8).
 
-With A (K, p) the functions of position at the slices of one trial, W their weights and
+A motion is what trials of one speed, direction and posture have in common: what a trial
+has for itself, as from the gear's teeth, the next one of the same motion has as well.
+Repeated trials make the noise smaller, and tell nothing new of anything else: their
+slices are taken together.
+
+With A (K, p) the functions of position at the slices of one motion, W their weights and
 y the friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold
 as much of the surface as the slices do, so speeds and orders can be left out without
 going back to them. Two columns more have what is left of speeding up and of slowing
@@ -63,12 +68,13 @@ class Orders:
 class SpeedData:
     """One trial, by K slices.
 
-    `speed` rad/s and `direction` (1 or -1) are of the joint, `q` (K,) rad its
-    positions, `friction` (K,) N m its friction in the direction of motion. `weight`
-    (K,) are samples, `edges` (K, 2) how near, in time, slices are to the begin and to
-    the end. `push`, `doubt`, `late` and `warm` (K,) N m are what friction is wrong by
-    for one standard error of the inertia, of how far other joints gave way, of the
-    torque's delay, and of friction's change per kelvin.
+    `speed` rad/s and `direction` (1 or -1) are of the joint, `posture` numbers the
+    configurations of the others, `q` (K,) rad are its positions, `friction` (K,) N m
+    its friction in the direction of motion. `weight` (K,) are samples, `edges` (K, 2)
+    how near, in time, slices are to the begin and to the end. `push`, `doubt`, `late`
+    and `warm` (K,) N m are what friction is wrong by for one standard error of the
+    inertia, of how far other joints gave way, of the torque's delay, and of friction's
+    change per kelvin.
     """
 
     speed: float
@@ -81,6 +87,7 @@ class SpeedData:
     doubt: Array
     late: Array
     warm: Array
+    posture: int = 0
 
     @property
     def belongs(self) -> Mask:
@@ -134,10 +141,10 @@ def weighted(data: list[SpeedData], distances: list[Array]) -> list[SpeedData]:
 
 @dataclass(frozen=True, kw_only=True)
 class Reduced:
-    """Trials after step 1: T trials, p functions of position and six more columns.
+    """Trials after step 1: T motions, p functions of position and six more columns.
 
-    `speeds` (T,) rad/s and `u` (T,) scaled are of the trials; `R` (T, p + 6, p + 6) and
-    `z` (T, p + 6) their factors, `residual_squares` (T,) the squares that no such
+    `speeds` (T,) rad/s and `u` (T,) scaled are of the motions; `R` (T, p + 6, p + 6)
+    and `z` (T, p + 6) their factors, `residual_squares` (T,) the squares that no such
     function takes. `total` (T,) are sums of weights, `slices` (T,) how many slices
     there are.
     """
@@ -167,11 +174,11 @@ class Reduced:
         return np.unique(self.u)
 
     def over_speed(self, order: int) -> Array:
-        """Return Chebyshev values (T, order + 1) at the trials' speeds."""
+        """Return Chebyshev values (T, order + 1) at the motions' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)
 
     def subset(self, chosen: Mask) -> "Reduced":
-        """Return some of the trials, by a mask (T,)."""
+        """Return some of the motions, by a mask (T,)."""
         return Reduced(
             scaling=self.scaling,
             speeds=self.speeds[chosen],
@@ -185,15 +192,13 @@ class Reduced:
 
 
 def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
-    """Reduce every trial to its R factor (Eq. 8)."""
+    """Reduce every motion to its R factor (Eq. 8)."""
     factors: list[Array] = []
     right_sides: list[Array] = []
     residual_squares: list[float] = []
-    for item in data:
-        over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
-        shared = [item.push, item.doubt, item.late, item.warm]
-        columns = [over_position, item.edges, *shared, item.friction]
-        rows = np.column_stack(columns) * np.sqrt(item.weight)[:, None]
+    motions = _motions(data)
+    for trials in motions:
+        rows = np.vstack([_rows(item, scaling) for item in trials])
         size = rows.shape[1] - 1
         # Rows of zeros make a factor of few slices as large as any.
         missing = np.zeros((max(size + 1 - len(rows), 0), size + 1))
@@ -206,7 +211,7 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
         factors.append(R)
         right_sides.append(np.where(empty, 0.0, z))
         residual_squares.append(float(factor[size, size] ** 2 + np.sum(z[empty] ** 2)))
-    speeds = np.array([item.speed for item in data])
+    speeds = np.array([trials[0].speed for trials in motions])
     return Reduced(
         scaling=scaling,
         speeds=speeds,
@@ -214,9 +219,33 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
         R=np.array(factors),
         z=np.array(right_sides),
         residual_squares=np.array(residual_squares),
-        total=np.array([float(item.weight.sum()) for item in data]),
-        slices=np.array([float(np.count_nonzero(item.belongs)) for item in data]),
+        total=np.array(
+            [sum(float(item.weight.sum()) for item in trials) for trials in motions]
+        ),
+        slices=np.array(
+            [
+                sum(float(np.count_nonzero(item.belongs)) for item in trials)
+                for trials in motions
+            ]
+        ),
     )
+
+
+def _motions(data: list[SpeedData]) -> list[list[SpeedData]]:
+    """Return the trials of each motion."""
+    motions: dict[tuple[float, int, int], list[SpeedData]] = {}
+    for item in data:
+        motion = (item.speed, item.direction, item.posture)
+        motions.setdefault(motion, []).append(item)
+    return list(motions.values())
+
+
+def _rows(item: SpeedData, scaling: Scaling) -> Array:
+    """Return the weighted columns (K, p + 7) of a trial, its friction the last."""
+    over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
+    shared = [item.push, item.doubt, item.late, item.warm]
+    columns = [over_position, item.edges, *shared, item.friction]
+    return np.column_stack(columns) * np.sqrt(item.weight)[:, None]
 
 
 def edges_of(t: Array, seconds: float) -> Array:

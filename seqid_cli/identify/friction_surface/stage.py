@@ -432,12 +432,13 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedDa
 def _trial_entries(gravity: GravityFit, held: HeldJoints | None) -> Iterator[SpeedData]:
     """Yield the friction of every trial, and its change with known errors."""
     celsius = summary.mean_celsius(gravity)
-    for group in gravity.groups:
+    for posture, group in enumerate(gravity.groups):
         doubts = [0.0 * trial.q for trial in group.trials]
         if held is not None:
             doubts = held.doubt(group.trials)
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            yield _trial_entry(trial, group, gravity, doubt=doubt, celsius=celsius)
+            entry = _trial_entry(trial, group, gravity, doubt=doubt, celsius=celsius)
+            yield replace(entry, posture=posture)
 
 
 def _trial_entry(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 from numpy.polynomial import Chebyshev
+from numpy.polynomial.chebyshev import chebvander
 from scipy.optimize import brentq
 from scipy.special import erf
 
@@ -151,13 +152,13 @@ def errors_of(
         leave_out = unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
         left_out = dict(fit.leaving_out(orders)) if leave_out else {}
         over_position = fit.reduced.scaling.over_position
-        over_speed = fit.reduced.over_speed(orders.velocity)
-        for k, item in enumerate(data):
-            u = float(fit.reduced.u[k])
+        for item, scaled_speed in zip(data, fit.scaled_speeds(data), strict=True):
+            u = float(scaled_speed)
+            over_speed = chebvander(scaled_speed, orders.velocity).ravel()
             entries = left_out.get(u, entries_of_all)
             columns = over_position.values(item.q, orders.position)
-            error = item.friction - columns @ (entries @ over_speed[k])
-            variances = fit.trial_variances(k)
+            error = item.friction - columns @ (entries @ over_speed)
+            variances = fit.trial_variances(item)
             trial_columns = fit.trial_columns(item)
 
             belongs = np.flatnonzero(item.belongs)

@@ -212,6 +212,27 @@ def test_orders_that_the_user_fixes_are_kept() -> None:
     assert found.velocity >= 2
 
 
+def test_trials_of_one_motion_again_and_again_tell_nothing_new() -> None:
+    """What a trial has for itself comes again with it: more orders would follow it."""
+    rng = np.random.default_rng(3)
+    once = data_of(COEFFICIENTS, rng, TRUE)
+    noise = TRUE.noise / np.sqrt([item.weight for item in once])
+    often = [
+        replace(item, friction=item.friction + level * rng.standard_normal(SLICES))
+        for _ in range(16)
+        for item, level in zip(once, noise, strict=True)
+    ]
+    left_out = []
+    std_errors = []
+    for data in (once, often):
+        fit = surface_fit(data)
+        errors = errors_of([(data, fit)], chosen(fit), unseen=True)
+        left_out.append(np.sqrt(np.mean(errors.missed**2)))
+        std_errors.append(np.sqrt(np.trace(fit.highest_posterior.covariance)))
+    assert left_out[1] < 1.1 * left_out[0]
+    assert std_errors[1] > 0.5 * std_errors[0]
+
+
 def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(7), replace(WHITE, noise=0.05))
     parts = [(data, surface_fit(data))]

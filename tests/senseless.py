@@ -1,4 +1,4 @@
-"""Numbers in documents that nobody can mean."""
+"""Numbers in documents that no log can mean."""
 
 from collections.abc import Iterator
 

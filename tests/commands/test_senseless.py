@@ -1,4 +1,4 @@
-"""Torques that say nothing: no bug, no number that nobody can mean, no verdict above
+"""Torques that say nothing: no bug, no number that no log can mean, no verdict above
 poor.
 """
 

@@ -256,7 +256,7 @@ def _measured(robot: RecordedRobot, cache: Path) -> Measured:
         plain=plain,
         fitted=fitted.errors(),
         refined=None if refined is None else refined.errors(fitted),
-        refused="" if refined is not None else f"refused: {said}",
+        refused="" if refined is not None else said,
         verdicts=(_worst(levels), _worst(fitted.levels)),
         effects=effects,
         cpu_s=(fit_s, refine_s),

@@ -67,9 +67,9 @@ class Planned:
     """
 
     moves: int = 0
-    lowest: float = float("inf")
-    free: float = float("inf")
-    way: float = float("inf")
+    lowest: float | None = None
+    free: float | None = None
+    way: float | None = None
     refused: str = ""
 
 
@@ -85,7 +85,7 @@ def study(chosen: Namespace) -> str:
         Planned,
         path,
         processes=chosen.processes,
-        told=lambda x: x.refused or f"{x.lowest:.3f}",
+        told=lambda x: x.refused or x.lowest,
     )
     rows = []
     for shapes, kind in ((True, "with shapes"), (False, "without shapes")):
@@ -97,7 +97,7 @@ def study(chosen: Namespace) -> str:
         "arms",
         "moves",
         "lowest point, m",
-        "moves' arms below the plane",
+        "arms below the plane",
         "lowest without a floor, m",
         "on straight ways between moves, m",
         "refused",
@@ -108,11 +108,12 @@ def study(chosen: Namespace) -> str:
 def _row(name: str, arms: Sequence[Planned]) -> list[str]:
     """Return the row of some arms."""
     with_plan = [arm for arm in arms if not arm.refused]
-    cells = [
-        number(min((getattr(arm, key) for arm in with_plan), default=np.nan), 3)
-        for key in ("lowest", "free", "way")
-    ]
-    below = sum(arm.lowest < 0.0 for arm in with_plan)
+    cells = []
+    for quantity in ("lowest", "free", "way"):
+        heights = [getattr(arm, quantity) for arm in with_plan]
+        least = min((x for x in heights if x is not None), default=np.nan)
+        cells.append(number(least, 3))
+    below = sum(arm.lowest is not None and arm.lowest < 0.0 for arm in with_plan)
     return [
         name,
         str(sum(arm.moves for arm in with_plan)),
@@ -191,9 +192,9 @@ def _session(
     return tables
 
 
-def _lowest(arm: "OwnArm", motions: Sequence[Array]) -> float:
+def _lowest(arm: "OwnArm", motions: Sequence[Array]) -> float | None:
     """Return the height [m] of the lowest point of some motions (N, n)."""
-    return min((float(arm.lowest(q).min()) for q in motions), default=float("inf"))
+    return min((float(arm.lowest(q).min()) for q in motions), default=None)
 
 
 def played(path: Path, arm: "OwnArm") -> Array:

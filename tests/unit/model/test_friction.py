@@ -229,3 +229,23 @@ def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed
     )
     assert of_file.outside(q, v).tolist() == [False, False, False, True, True]
     assert not of_file.vague(q, v).any()
+
+
+@pytest.mark.parametrize("covariance", [[], [[1.0]]])
+@pytest.mark.parametrize("directional", [False, True])
+def test_a_file_without_errors_of_its_surface_is_taken_as_exact(
+    covariance: list[list[float]], directional: bool
+) -> None:
+    joint = friction_joint(
+        [[5.0, 0.4], [0.2, 0.1]],
+        speed_range=list(SPEED),
+        sign_width=WIDTH,
+        covariance=covariance,
+        directional=directional,
+    )
+    made = FrictionSurface.from_stage(joint)
+    size = len(made.coefficients)
+    np.testing.assert_array_equal(
+        made.covariance[: made.entries, : made.entries], np.zeros((made.entries,) * 2)
+    )
+    assert made.covariance.shape == (size, size)

@@ -1,5 +1,6 @@
 """The commands that judge a model by logs: predict, diagnose, refine, and payload."""
 
+import functools
 from pathlib import Path
 from typing import Annotated
 
@@ -39,8 +40,10 @@ from seqid_cli.commands.options import (
 )
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import (
+    shared_reasons,
     show_motion,
     show_poor,
+    show_shared,
     show_verdicts,
     verdict_text,
 )
@@ -181,7 +184,11 @@ def predict(
 def _show_prediction(screen: Screen, file: PredictionFile) -> None:
     """Show the errors and the verdict of each joint, and the cut-offs in use."""
     screen.document(file)
-    screen.values(tables.prediction_errors(file, verdict_text))
+    shared = shared_reasons(file.verdicts, file.joints)
+    screen.values(
+        tables.prediction_errors(file, functools.partial(verdict_text, shared=shared))
+    )
+    show_shared(screen, shared)
     notes = list(file.notes)
     for log in file.logs:
         notes += [f"{log.path}: {note}" for note in log.notes]

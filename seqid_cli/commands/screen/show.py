@@ -1,7 +1,7 @@
 """Stages as tables: numbers with units, a verdict per joint, and its reason."""
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -22,14 +22,46 @@ def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) ->
             _rigid(screen, name, stage, robot)
 
 
-def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
-    """Return the worst verdict on a joint and its reason; a dash without any."""
+def verdict_text(
+    verdicts: Sequence[schema.Verdict],
+    joint: str,
+    *,
+    shared: Collection[str] = (),
+) -> str:
+    """Return the worst verdict on a joint and its reason; a dash without any.
+
+    Reasons that are `shared` with other joints stand below the table, see
+    `show_shared`.
+    """
     level = worst_level(verdict for verdict in verdicts if verdict.joint == joint)
     if level is None:
         return "-"
     if level == "good":
         return level
-    return f"{level}: {poor_because(verdicts, joint)}"
+    own = [verdict for verdict in verdicts if verdict.reason not in shared]
+    reasons = poor_because(own, joint)
+    if reasons == poor_because(verdicts, joint):
+        return f"{level}: {reasons}"
+    return f"{level}: {reasons}; see below" if reasons else f"{level}: see below"
+
+
+def shared_reasons(
+    verdicts: Sequence[schema.Verdict], joints: Collection[str]
+) -> dict[str, list[str]]:
+    """Return the reasons why several of the joints are not good, with these joints."""
+    joints_of: dict[str, list[str]] = {}
+    for verdict in verdicts:
+        if verdict.joint in joints and not verdict.good:
+            named = joints_of.setdefault(verdict.reason, [])
+            if verdict.joint not in named:
+                named.append(verdict.joint)
+    return {reason: named for reason, named in joints_of.items() if len(named) > 1}
+
+
+def show_shared(screen: Screen, shared: Mapping[str, Sequence[str]]) -> None:
+    """Print a line for each reason that joints of the table above it share."""
+    for reason, joints in shared.items():
+        screen.result(f"{', '.join(joints)}: {reason}")
 
 
 def show_poor(
@@ -52,11 +84,16 @@ def show_verdicts(
     """Print the verdicts and the notes.
 
     `name_of_whole` names what a verdict without a joint is on; joints `in_table` are
-    left out, as a table has their verdicts.
+    left out, as a table has their verdicts. Joints of which the same is to be said
+    share a line.
     """
+    names_of: dict[str, list[str]] = {}
     for name in dict.fromkeys(verdict.joint for verdict in verdicts):
         if name not in in_table:
-            screen.result(f"{name or name_of_whole}: {verdict_text(verdicts, name)}")
+            text = verdict_text(verdicts, name)
+            names_of.setdefault(text, []).append(name or name_of_whole)
+    for text, names in names_of.items():
+        screen.result(f"{', '.join(names)}: {text}")
     screen.remark(*notes)
 
 
@@ -65,6 +102,7 @@ def _friction(
 ) -> None:
     """Print a row per joint: the orders of its surface, its errors and its verdict."""
     rows = []
+    shared = shared_reasons(stage.verdicts, stage.joints)
     for name, joint in stage.joints.items():
         # The classical fit has no measured friction to ask Eq. 11 of.
         largest_error = None if joint.criterion_met is None else joint.max_error
@@ -74,7 +112,7 @@ def _friction(
             joint.rmse,
             joint.held_out_rmse,
             largest_error,
-            verdict_text(stage.verdicts, name),
+            verdict_text(stage.verdicts, name, shared=shared),
         )
         rows.append(row)
     titles = (
@@ -82,6 +120,7 @@ def _friction(
     )
     kinds = "text text number number share text"
     screen.values(of_joints(titles, kinds, rows, robot))
+    show_shared(screen, shared)
     show_verdicts(
         screen, stage.verdicts, "friction", stage.notes, in_table=stage.joints
     )
@@ -110,12 +149,14 @@ def _rigid(
     if stage.not_excited:
         screen.result(f"not excited by these logs: {', '.join(stage.not_excited)}")
 
+    shared = shared_reasons(stage.verdicts, stage.rmse)
     joints = [
-        (joint, rmse, verdict_text(stage.verdicts, joint))
+        (joint, rmse, verdict_text(stage.verdicts, joint, shared=shared))
         for joint, rmse in stage.rmse.items()
     ]
     titles = "joint | RMS error [{unit}] | verdict"
     screen.values(of_joints(titles, "text number text", joints, robot))
+    show_shared(screen, shared)
     show_verdicts(screen, stage.verdicts, name, stage.notes, in_table=stage.rmse)
     show_motion(screen, stage.motion_use, robot)
 
@@ -123,17 +164,19 @@ def _rigid(
 def _imu(screen: Screen, stage: schema.ImuStage) -> None:
     """Print a row per IMU: the errors of its mounting and its verdict."""
     rows = []
+    shared = shared_reasons(stage.verdicts, stage.imus)
     for name, imu in stage.imus.items():
         row = (
             name,
             imu.std_error_deg,
             imu.axis_rmse_deg,
             imu.configurations,
-            verdict_text(stage.verdicts, name),
+            verdict_text(stage.verdicts, name, shared=shared),
         )
         rows.append(row)
     titles = "imu | std error deg | axis error deg | configurations | verdict"
     screen.values(values(titles, "text number number count text", rows))
+    show_shared(screen, shared)
     show_verdicts(screen, stage.verdicts, "imu", stage.notes, in_table=stage.imus)
 
 

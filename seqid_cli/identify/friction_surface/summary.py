@@ -435,7 +435,7 @@ def constants_note(robot: Robot) -> list[str]:
     )
     if exact and robot.nominal is None:
         note += (
-            "; the URDF has no inertials: a current in percent or shares of a rated one"
-            " would show in nothing but the size of every parameter"
+            "; without a URDF's inertials a current in percent or shares of a rated one"
+            " shows in nothing but the size of every parameter"
         )
     return [note] if exact else []

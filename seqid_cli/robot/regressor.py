@@ -16,12 +16,13 @@ prismatic), `gravity` (3,) in m/s^2 in the base frame.
 """
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion, skew
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, skew
 from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
@@ -29,6 +30,7 @@ Kinds = NDArray[np.intp]  # numbers of a link's columns, 0 to 9
 Columns = Sequence[int] | None  # of the regressor; None is all
 Coupling = Literal["diagonal", "gyroscopic"]
 _BLOCK = 4096  # samples at a time: numpy call overhead against cache
+_RECURSION_BLOCK = 2048  # the same where the motion of one link alone is held
 
 
 def torque_regressor(
@@ -190,32 +192,140 @@ def inverse_dynamics(
     ndarray, (N, n)
         Torques [N m; N where prismatic].
     """
-    motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
-    force, moment = np.zeros((2, 3, len(q)))
     tau = np.empty((chain.n, len(q)))
-    for i in reversed(range(chain.n)):
-        w = motion.w[i]
-        dw = motion.dw[i]
-        a = motion.a[i]
-        mass = phi[i, 0]
-        c = phi[i, 1:4, None]
-        H = motion.H[i]
-        xx, xy, yy, xz, yz, zz = phi[i, 4:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-        # What the link needs, and all links behind it.
-        force = force + mass * a
-        force += H[:, 0] * c[0]
-        force += H[:, 1] * c[1]
-        force += H[:, 2] * c[2]
-        moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
-        tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
-
-        # The same in the frame of the link before, about its origin.
-        force = np.einsum("abn,bn->an", motion.R[i], force)
-        moment = np.einsum("abn,bn->an", motion.R[i], moment)
-        moment = moment + cross(motion.p[i], force)
+    recursion = _Recursion(chain, phi, min(_RECURSION_BLOCK, len(q)))
+    for start in range(0, len(q), _RECURSION_BLOCK):
+        samples = slice(start, min(start + _RECURSION_BLOCK, len(q)))
+        state = (np.ascontiguousarray(x[samples].T) for x in (q, dq, ddq))
+        recursion.fill(tau[:, samples], gravity, *state)
     return np.ascontiguousarray(tau.T)
+
+
+# Products of the components of w, as the rows of a motion have them.
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+class _Recursion:
+    """Newton-Euler of links with known parameters, in the same arrays every time.
+
+    Rows of a link's motion are w, dw, a and the six products of w. In these the load of
+    a link is linear, and so is what the next joint is carried along with: each takes
+    one product with a constant matrix.
+    """
+
+    def __init__(self, chain: Chain, phi: Array, samples: int) -> None:
+        self.chain = chain
+        self.carriers = _recursion_carriers(chain)
+        self.to_load = np.tensordot(phi, _unit_loads(), axes=1)
+        self.rows = np.empty((15, samples))
+        self.loads = np.empty((chain.n, 6, samples))
+
+    def fill(self, tau: Array, gravity: Array, q: Array, dq: Array, ddq: Array) -> None:
+        """Fill the torques (n, M) of states (n, M), as many M as there is room for.
+
+        `gravity` (3,) [m/s^2] is in the base frame.
+        """
+        samples = q.shape[1]
+        rows = self.rows[:, :samples]
+        loads = self.loads[:, :, :samples]
+        cosine = np.cos(q)
+        sine = np.sin(q)
+        rows[:] = 0.0
+        rows[6:9] = -gravity[:, None]  # the base, as the link before
+        for i, (to_joint, _) in enumerate(self.carriers):
+            motion = (to_joint @ rows).reshape(3, 3, samples)
+            axis = self.chain.axis[i]
+            if self.chain.prismatic[i]:
+                _slide_motion(motion, axis, q[i], dq[i], ddq[i])
+            else:
+                _turn_back(motion, axis, cosine[i], sine[i])
+                _spin(motion, axis, dq[i], ddq[i])
+            rows[:9] = motion.reshape(9, samples)
+            w = motion[0]
+            np.multiply(w, w, out=rows[9:12])
+            np.multiply(w[0], w[1:], out=rows[12:14])
+            np.multiply(w[1], w[2], out=rows[14])
+            np.matmul(self.to_load[i], rows, out=loads[i])
+
+        # From the last link on, each carries those behind it.
+        for i in reversed(range(self.chain.n)):
+            load = loads[i]
+            axis = self.chain.axis[i]
+            force = load[:3]
+            moment = load[3:]
+            tau[i] = axis @ (force if self.chain.prismatic[i] else moment)
+            if i == 0:
+                return
+            if self.chain.prismatic[i]:
+                moment += (skew(axis) @ force) * q[i]
+            else:
+                both = load.reshape(2, 3, samples)
+                _turn_back(both, axis, cosine[i], -sine[i])
+            _, to_parent = self.carriers[i]
+            loads[i - 1] += to_parent @ load
+
+
+@lru_cache(maxsize=16)
+def _recursion_carriers(chain: Chain) -> list[tuple[Array, Array]]:
+    """Return what carries motion and loads across each joint at zero.
+
+    Matrices (9, 15) carry a motion to the frame fixed in the link before, turned by C
+    and placed at p; matrices (6, 6) carry force and moment back from it.
+    """
+    carriers = []
+    for C, p in zip(chain.rotation, chain.position, strict=True):
+        to_joint = np.zeros((9, 15))
+        to_joint[:3, :3] = C.T
+        to_joint[3:6, 3:6] = C.T
+        to_joint[6:, 3:6] = -C.T @ skew(p)  # dw x p
+        to_joint[6:, 6:9] = C.T
+        to_joint[6:, 9:] = C.T @ _of_products(_turning(p))
+
+        to_parent = np.zeros((6, 6))
+        to_parent[:3, :3] = C
+        to_parent[3:, 3:] = C
+        to_parent[3:, :3] = skew(p) @ C
+        carriers.append((to_joint, to_parent))
+    return carriers
+
+
+@lru_cache(maxsize=1)
+def _unit_loads() -> Array:
+    """Return the matrices (10, 6, 15) of `_load_matrix` per unit of each parameter."""
+    return np.stack([_load_matrix(unit) for unit in np.eye(PER_LINK)])
+
+
+def _load_matrix(phi: Array) -> Array:
+    """Return the matrix (6, 15) from a link's motion to its force and moment.
+
+    `phi` (10,) are the link's standard parameters.
+    """
+    c = phi[1:4]
+    xx, xy, yy, xz, yz, zz = phi[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    matrix = np.zeros((6, 15))
+    matrix[:3, 3:6] = -skew(c)  # dw x c
+    matrix[:3, 6:9] = phi[0] * np.eye(3)
+    matrix[:3, 9:] = _of_products(_turning(c))
+    matrix[3:, 3:6] = inertia
+    matrix[3:, 6:9] = skew(c)  # c x a
+    # w x I w
+    units = np.eye(3)
+    skews = np.stack([skew(unit) for unit in units], axis=1)
+    matrix[3:, 9:] = _of_products(skews @ inertia)
+    return matrix
+
+
+def _turning(r: Array) -> Array:
+    """Return T (3, 3, 3), by which T_abd w_b w_d is w x (w x r)."""
+    identity = np.eye(3)
+    return identity[:, :, None] * r - r[:, None, None] * identity
+
+
+def _of_products(T: Array) -> Array:
+    """Return the matrix (3, 6) from the products of w to T_abd w_b w_d."""
+    columns = [T[:, b, d] if b == d else T[:, b, d] + T[:, d, b] for b, d in _PAIRS]
+    return np.stack(columns, axis=1)
 
 
 def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
@@ -335,6 +445,11 @@ def _turn(
     sine = np.sin(q)
     _turn_back(motion, axis, cosine, sine)
     _turn_back(screws, axis, cosine, sine)
+    _spin(motion, axis, dq, ddq)
+
+
+def _spin(motion: Array, axis: Array, dq: Array, ddq: Array) -> None:
+    """Add to w, dw (3, 3, N), with a, what a joint itself turns."""
     w, dw, _ = motion
     dw += (-skew(axis) @ w) * dq  # w x axis dq
     for k in np.flatnonzero(axis):
@@ -368,6 +483,12 @@ def _slide(
     motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array
 ) -> None:
     """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along a joint that slides."""
+    _slide_motion(motion, axis, q, dq, ddq)
+    screws[1] += np.einsum("ab,bjn->ajn", -skew(axis), screws[0]) * q
+
+
+def _slide_motion(motion: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+    """Take w, dw, a (3, 3, N) along a joint that slides."""
     w, dw, a = motion
     cross_axis = -skew(axis)  # times x: x cross axis
     w_cross_axis = cross_axis @ w
@@ -377,7 +498,6 @@ def _slide(
         + axis[:, None] * ddq
         + 2.0 * w_cross_axis * dq
     )
-    screws[1] += np.einsum("ab,bjn->ajn", cross_axis, screws[0]) * q
 
 
 def _fill_link(

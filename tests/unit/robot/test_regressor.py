@@ -2,6 +2,7 @@
 literature.
 """
 
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -51,6 +52,28 @@ def test_regressor_and_torque_are_pinocchios_on_any_chain(
     phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
     tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
     np.testing.assert_allclose(tau, expected @ phi.ravel(), rtol=1e-11, atol=1e-10)
+
+
+def test_torque_of_a_long_log_is_that_of_its_parts_and_holds_little_else() -> None:
+    rng = np.random.default_rng(2)
+    _, chain = random_model(rng, [False, True, False, False, False, False])
+    gravity = rng.normal(size=3)
+    phi = rng.normal(size=(chain.n, 10))
+    q, dq, ddq = rng.normal(size=(3, 40_000, chain.n))
+    inverse_dynamics(chain, gravity, phi, q[:1], dq[:1], ddq[:1])
+
+    tracemalloc.start()
+    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4 * tau.nbytes
+
+    parts = [slice(0, 1), slice(1, 4_097), slice(4_097, None)]
+    by_part = [
+        inverse_dynamics(chain, gravity, phi, q[part], dq[part], ddq[part])
+        for part in parts
+    ]
+    np.testing.assert_allclose(tau, np.concatenate(by_part), rtol=1e-12, atol=1e-12)
 
 
 def test_dh_frames_are_products_of_the_four_moves() -> None:

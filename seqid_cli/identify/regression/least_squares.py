@@ -142,6 +142,17 @@ class Accumulator:
             self._total = triangular(np.vstack(blocks))
         return self._total
 
+    def joined(self) -> "Accumulator":
+        """Return the same rows with one factor for all blocks."""
+        return Accumulator(
+            size=self.size,
+            blocks=[self.total],
+            rows=[self.samples],
+            span=self.span,
+            filled=self.filled,
+            _total=self.total,
+        )
+
     @property
     def samples(self) -> int:
         """Number of rows added."""

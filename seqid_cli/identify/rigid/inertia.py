@@ -8,8 +8,7 @@ too (`rotor_coupling`).
 import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
-from operator import add
+from functools import partial
 from typing import cast
 
 import msgspec
@@ -32,7 +31,7 @@ from seqid_cli.identify.regression.equations import (
     source_text,
     streams,
 )
-from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.regression.noise_level import noise_of_rows
 from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
@@ -41,7 +40,11 @@ from seqid_cli.identify.rigid.inertia_equations import (
     tolerance_moves,
 )
 from seqid_cli.identify.rigid.inertia_rows import InertiaRows
-from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
+from seqid_cli.identify.rigid.log_agreement import (
+    FEW_LOGS,
+    agreement_verdicts,
+    log_equations,
+)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs import long as long_logs
@@ -90,6 +93,23 @@ class LogRows:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class LogFactors:
+    """What tells one log from the others: its name, and factors of joints' rows."""
+
+    log: str
+    joints: list[Accumulator]
+
+    @classmethod
+    def of(cls, rows: InertiaRows) -> "LogFactors":
+        """Take those of the rows of one log."""
+        return cls(log=rows.uses[0].log, joints=rows.joints)
+
+    def joined(self) -> "LogFactors":
+        """Return the same with one factor for all blocks of a joint."""
+        return replace(self, joints=[joint.joined() for joint in self.joints])
+
+
 def identify_inertia(
     recordings: Iterable[Recording | LongLog],
     robot: Robot,
@@ -132,8 +152,15 @@ def identify_inertia(
     can_stream = by_encoders is None and streams(stages, options)
     pass_over_from = long_logs.LONG if can_stream else None
     rows_of_log = partial(_rows_of_log, equations, by_encoders)
-    each_log = list(mapped(logs, rows_of_log, pass_over_from))
-    together = reduce(add, each_log) if each_log else None
+    # Added up as they come: the rows of all logs side by side would take most memory.
+    together: LogRows | None = None
+    each_log: list[LogFactors] = []
+    for log_rows in mapped(logs, rows_of_log, pass_over_from):
+        together = log_rows if together is None else together + log_rows
+        each_log.append(LogFactors.of(log_rows.used))
+        if len(each_log) > FEW_LOGS:
+            # Stretches of logs are compared where there are few of these.
+            each_log = [factors.joined() for factors in each_log]
     if together is None or not any(joint.samples for joint in together.used.joints):
         raise QualityError("no joint with known friction moves in these logs")
 
@@ -144,9 +171,7 @@ def identify_inertia(
         if multiple in together.neighbours
     }
     result = _stage(equations, together.used, neighbours)
-    stage = _with_agreement(
-        result.inertia, equations, together.used, [log.used for log in each_log]
-    )
+    stage = _with_agreement(result.inertia, equations, together.used, each_log)
     uses_imus = any(use.source != "encoder" for use in stage.motion_use)
     if by_encoders is not None and together.by_encoders is not None and uses_imus:
         encoder_stage = _stage(by_encoders, together.by_encoders, {}).inertia
@@ -189,20 +214,20 @@ def _with_agreement(
     stage: RigidStage,
     equations: InertiaEquations,
     together: InertiaRows,
-    logs: Sequence[InertiaRows],
+    logs: Sequence[LogFactors],
 ) -> RigidStage:
     """Add verdicts on logs whose rigid body is not that of all of them `together`."""
     robot = equations.robot
     coupling = float(stage.rotor_coupling == "gyroscopic")
     joints_of_logs = [
-        [joint.with_fixed(joint.size - 1, coupling) for joint in rows.joints]
-        for rows in logs
+        [joint.with_fixed(joint.size - 1, coupling) for joint in factors.joints]
+        for factors in logs
     ]
     residual_rms = np.array(
         [stage.rmse.get(name, np.inf) for name in robot.joint_names]
     )
     verdicts = agreement_verdicts(
-        log_equations([rows.uses[0].log for rows in logs], joints_of_logs),
+        log_equations([factors.log for factors in logs], joints_of_logs),
         robot,
         residual_rms,
         together.torque_squares,

@@ -27,6 +27,7 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 Group = list[int]
+FEW_LOGS = 2  # up to which stretches of logs are compared, as one of them may stand out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,16 +79,16 @@ def parts_of(
 
 
 def log_equations(
-    logs: Sequence[str], joints: Sequence[Sequence[Accumulator]], *, few: int = 2
+    logs: Sequence[str], joints: Sequence[Sequence[Accumulator]]
 ) -> list[LogEquations]:
-    """Return the equations of each log; `few` logs or fewer come in stretches.
+    """Return the equations of each log; few logs come in stretches.
 
     One stretch can then stand out.
 
     `joints` are the rows of each log's joints.
     """
     pairs = list(zip(logs, joints, strict=True))
-    if len(pairs) > few:
+    if len(pairs) > FEW_LOGS:
         return [LogEquations.of(log, log_joints) for log, log_joints in pairs]
     stretches: list[LogEquations] = []
     for log, log_joints in pairs:

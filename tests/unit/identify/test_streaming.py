@@ -1,6 +1,9 @@
 """Stages on logs that are passed over against the same logs held in memory."""
 
+import weakref
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -9,8 +12,9 @@ import pytest
 from seqid_cli.errors import InputError
 from seqid_cli.identify.friction_surface.trials import trials_of
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.rigid import inertia_equations
-from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.regression.least_squares import Accumulator
+from seqid_cli.identify.rigid import inertia, inertia_equations
+from seqid_cli.identify.rigid.inertia import LogRows, identify_inertia
 from seqid_cli.logs.long import open_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
@@ -107,6 +111,44 @@ def test_a_log_shorter_than_the_filter_is_told(
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))
     with pytest.raises(InputError, match="long enough"):
         inertia_of(path, robot, options)
+
+
+def test_rows_of_a_log_are_let_go_of_before_the_next_but_one_is_read(
+    folder: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = read_recording(folder / "log.parquet", robot)
+    logs = [
+        replace(recording, path=Path(f"{number}.parquet"), sha256=str(number))
+        for number in range(4)
+    ]
+    rows_of_logs: list[weakref.ref[LogRows]] = []
+    n_alive: list[int] = []
+    rows_of_log = inertia._rows_of_log
+
+    def counted(*arguments: Any) -> LogRows:
+        n_alive.append(sum(rows() is not None for rows in rows_of_logs))
+        rows = rows_of_log(*arguments)
+        rows_of_logs.append(weakref.ref(rows))
+        return rows
+
+    monkeypatch.setattr(inertia, "_rows_of_log", counted)
+    found = identify_inertia(logs, robot, known_friction(), options=OPTIONS).inertia
+    assert n_alive == [0, 1, 1, 1]
+    assert [use.log for use in found.motion_use] == [str(log.path) for log in logs]
+
+
+def test_one_factor_for_all_blocks_says_as_much_of_a_log() -> None:
+    rng = np.random.default_rng(0)
+    rows = Accumulator(4)
+    for _ in range(3):
+        rows.add(rng.normal(size=(20, 4)), rng.normal(size=20))
+    joined = rows.joined()
+    assert len(joined.blocks) == 1
+    assert joined.samples == rows.samples
+    np.testing.assert_array_equal(joined.total, rows.total)
+    np.testing.assert_array_equal(
+        joined.with_fixed(3, 0.5).total, rows.with_fixed(3, 0.5).total
+    )
 
 
 @pytest.mark.slow

@@ -130,9 +130,12 @@ def test_rows_are_thinned_to_a_bounded_number() -> None:
         shape = (len(chosen), 2, 1)
         masks = {"used": used[chosen], "judged": used[chosen]}
         collected.add(motion, chosen, H=np.ones(shape), y=np.ones(shape[:2]), **masks)
-    rows = (collected + collected).joined()
+    together = collected + collected
+    rows = together.joined()
     assert rows is not None
     assert rows.samples <= MOST_ROWS
+    # Rows that were dropped are not held by those that stay.
+    assert all(part.H.base is None for part in together.parts)
     assert sorted(set(rows.log.tolist())) == [0, 1, 2, 3, 4, 5]
     # Each row stands for those that it was thinned from.
     assert rows.weight.sum() == pytest.approx(6 * 20_000, rel=0.01)

@@ -16,7 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.inspect.dynamics.angles import angle_findings, far_angle_finding
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, zero_off
-from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
+from seqid_cli.inspect.dynamics.friction import Sample, scaled_residual
 from seqid_cli.inspect.dynamics.structure import sliding, structural_error
 from seqid_cli.inspect.dynamics.weights import (
     common_factor,
@@ -401,7 +401,7 @@ def _nominal_error(sample: Sample) -> float:
         rows = slides[:, j]
         if not rows.any():
             continue
-        residual = scaled_fit(friction[rows, j], difference[rows, j]).residual
+        residual = scaled_residual(friction[rows, j], difference[rows, j])
         variance = max(float(sample.tau[rows, j].var()), 1e-300)
         shares.append(np.mean(residual**2) / variance)
     return float(np.sqrt(np.mean(shares))) if shares else 0.0

@@ -6,7 +6,7 @@ its own.
 
 import numpy as np
 
-from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
+from seqid_cli.inspect.dynamics.friction import Sample, scaled_residual
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.typing import Array, Mask
 
@@ -39,7 +39,7 @@ def structural_residual(sample: Sample) -> Array:
 
     slides = sliding(sample)
     size = torque_sizes(sample) if sample.sizes is None else sample.sizes
-    return scaled_fit((X / size[:, None])[slides], (sample.tau / size)[slides]).residual
+    return scaled_residual((X / size[:, None])[slides], (sample.tau / size)[slides])
 
 
 def structural_error(sample: Sample) -> float:

@@ -5,18 +5,23 @@ codes.
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit, scaled_residual
+from seqid_cli.inspect.dynamics.structure import structural_error
 from seqid_cli.inspect.findings import ERRORS, WARNINGS
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.inspect.serves import serve_together
 from seqid_cli.params.results.inspection import InspectedLog
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests import ROOT
+from tests.plants.robots.small import arm_6r
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 from tests.unit.logs.samples import make_robot
 
@@ -70,6 +75,40 @@ def test_small_efforts_of_other_signs_do_not_lack_gravity(tmp_path: Path) -> Non
     codes = {finding.code for finding in found}
     assert "effort_without_gravity" not in codes
     assert "sign_mismatch" in codes
+
+
+def test_searches_for_causes_work_out_no_inverse(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They ask for the residual alone, hundreds of times; and get the same one."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 6))
+    X[:, 3] = X[:, 1] - X[:, 2]
+    X[:, 4] = 0.0
+    X[:, 5] *= 1e-5
+    y = rng.normal(size=200)
+    expected = scaled_fit(X, y).residual
+
+    def refused(*_: Any, **__: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(np.linalg, "pinv", refused)
+    np.testing.assert_allclose(scaled_residual(X, y), expected, rtol=0.0, atol=1e-13)
+
+    chain = arm_6r()
+    q, dq, ddq, tau = rng.normal(size=(4, 300, chain.n))
+    sample = Sample(
+        robot=chain,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=tau,
+        direction=np.sign(dq),
+        memory=1.0,
+        moving=tuple(range(chain.n)),
+        basis=base_parameters(chain, rotor=()),
+    )
+    assert 0.5 < structural_error(sample) < 1.0
 
 
 def test_torques_of_the_other_sign_have_one_remedy(tmp_path: Path) -> None:

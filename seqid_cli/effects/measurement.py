@@ -13,6 +13,7 @@ from seqid_cli.effects.effect import AnyJoint, Columns, Effect, Settings
 from seqid_cli.effects.memory import AsLogged, OfSeries
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.torque import sampled_friction
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -115,8 +116,14 @@ def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
 
     later_motion = replace(motion, q=motion.q + seconds * motion.dq)
     later = replace(scene, motion=later_motion)
+    # Friction of the joints that are asked for alone: it takes most of the time.
+    surfaces = [
+        surface if j in joints else None
+        for j, surface in enumerate(scene.model.surfaces)
+    ]
+    friction_later = sampled_friction(surfaces, later_motion)
     torque_now = (scene.carried + scene.friction)[:, joints]
-    torque_later = (later.carried + later.friction)[:, joints]
+    torque_later = (later.carried + friction_later)[:, joints]
     change = (torque_later - torque_now) / seconds
     return {j: change[:, [k]] for k, j in enumerate(joints)}
 

@@ -482,8 +482,8 @@ class FrictionFamily:
 
     def _torque_of_part(self, q: Array, v: Array) -> Array:
         common = self.members[0]
-        basis = common.scaling.basis(q, v, *common.orders)
-        forward = basis @ self._forward
+        sums = common.scaling.sums(q, v, self._entries)
+        forward = sums[:, : len(self.members)]
         if self._extends:
             outside = common.outside_columns(q, v)
             forward = forward + outside @ self._forward_extension
@@ -491,7 +491,7 @@ class FrictionFamily:
         if not self._is_directional:
             return np.asarray(sign * forward)
 
-        backward = basis @ self._backward
+        backward = sums[:, len(self.members) :]
         if self._extends:
             backward = backward + outside @ self._backward_extension
         flips = (forward + backward) / 2.0
@@ -507,18 +507,19 @@ class FrictionFamily:
         return any(member.extension.any() for member in self.members)
 
     @cached_property
-    def _forward(self) -> Array:
-        """Entries (k, m) of all members where velocities are positive."""
-        return np.column_stack([member.positive.ravel() for member in self.members])
+    def _entries(self) -> Array:
+        """Entries (size, l + 1, m) of all members where velocities are positive.
 
-    @cached_property
-    def _backward(self) -> Array:
-        """Entries (k, m) of all members where velocities are negative."""
-        entries = [
-            member.negative if member.directional else member.positive
-            for member in self.members
-        ]
-        return np.column_stack([side.ravel() for side in entries])
+        Where these differ by direction, those where velocities are negative follow
+        them.
+        """
+        entries = [member.positive for member in self.members]
+        if self._is_directional:
+            entries += [
+                member.negative if member.directional else member.positive
+                for member in self.members
+            ]
+        return np.stack(entries, axis=-1)
 
     @cached_property
     def _forward_extension(self) -> Array:

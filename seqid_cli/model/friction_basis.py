@@ -70,6 +70,40 @@ class Scaling:
             products[beyond] += excess[beyond, None] * slope
         return products
 
+    def sums(self, q: Array, v: Array, entries: Array) -> Array:
+        """Sum the products of both bases, continued beyond the ranges, times entries.
+
+        It is what `basis` gives times the entries, without making it.
+
+        Parameters
+        ----------
+        q, v : Array
+            Positions and velocities (N,); of a velocity only the size counts.
+        entries : Array
+            (size, l + 1, m), of m surfaces.
+
+        Returns
+        -------
+        Array
+            (N, m).
+        """
+        size, speeds, surfaces = entries.shape
+        position_order = self.over_position.order(size)
+        over_position = self.over_position.values(q, position_order)
+        over_speed = chebvander(self.u(v), speeds - 1)
+        by_speed = over_position @ entries.reshape(size, speeds * surfaces)
+        by_speed = by_speed.reshape(len(q), speeds, surfaces)
+        sums = np.einsum("nlm,nl->nm", by_speed, over_speed)
+
+        # Beyond the fastest speed the line goes on from the value there.
+        excess = self.faster(v)
+        beyond = np.flatnonzero(excess)
+        if beyond.size:
+            slope = self.slope(position_order, speeds - 1)
+            of_surfaces = slope @ entries.reshape(size * speeds, surfaces)
+            sums[beyond] += excess[beyond, None] * of_surfaces
+        return np.asarray(sums)
+
     def faster(self, v: Array) -> Array:
         """Return by how much speeds (N,) exceed the fastest identified one, rad/s."""
         return np.maximum(np.abs(v) - self.speed[1], 0.0)

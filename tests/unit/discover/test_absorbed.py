@@ -1,5 +1,6 @@
 """What a file absorbs of an effect is what stages identified with it have more."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -11,6 +12,8 @@ from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import SelectionProblem
 from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.effects import measurement
+from seqid_cli.effects.measurement import steady_change
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.nuisances import term_of
@@ -18,6 +21,9 @@ from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import FrictionLaw
+from seqid_cli.model.torque import sampled_friction
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
@@ -141,6 +147,25 @@ def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
     result = identify_gravity([other, trial], robot, stages)
     stages.gravity, stages.friction = result.gravity, result.friction
     return stages
+
+
+def test_a_steady_change_asks_for_friction_of_its_own_joints_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (scene,) = arm_scenes(logs=1, seconds=8.0)
+    whole = steady_change(scene, None)
+    asked: list[list[int]] = []
+
+    def counted(surfaces: Sequence[FrictionLaw | None], motion: Motion) -> Array:
+        joints = [j for j, surface in enumerate(surfaces) if surface is not None]
+        asked.append(joints)
+        return sampled_friction(surfaces, motion)
+
+    monkeypatch.setattr(measurement, "sampled_friction", counted)
+    of_joint = steady_change(scene, 1)
+    assert asked == [[1]]
+    assert [*of_joint] == [1]
+    np.testing.assert_array_equal(of_joint[1], whole[1])
 
 
 def test_a_file_without_trials_has_absorbed_nothing() -> None:

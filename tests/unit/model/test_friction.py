@@ -72,6 +72,22 @@ def test_the_torque_is_the_formula_inside_the_range(
     assert not any_surface.outside(q, v).any()
 
 
+def test_torque_needs_no_product_of_both_bases(
+    any_surface: FrictionSurface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is that of the columns, also beyond the fastest speed."""
+    q, v = states()
+    v[::3] *= 2.0
+    columns = any_surface.columns(q, v)
+    expected = columns @ any_surface.coefficients
+
+    def refused(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(Scaling, "basis", refused)
+    np.testing.assert_allclose(any_surface.torque(q, v), expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_beyond_the_fastest_speed_it_goes_on_as_a_line(
     any_surface: FrictionSurface, side: int

@@ -270,6 +270,8 @@ class CandidateColumns:
         self._computed.clear()
         self._computed_on_links.clear()
         self.known.clear()
+        for scene in self.scenes:
+            scene.forget()
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Return columns of candidates on the rows of the joints that they touch."""

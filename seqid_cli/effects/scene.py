@@ -100,6 +100,12 @@ class Scene:
         """Results of effects that are kept with the scene."""
         return {}
 
+    def forget(self) -> None:
+        """Let go of results of effects: what is asked for again is worked out again."""
+        self.memo.clear()
+        if self.full is not None:
+            self.full.forget()
+
     @property
     def angle(self) -> Array:
         """Positions (N, n) for what is finer than the low-pass: the encoder's."""

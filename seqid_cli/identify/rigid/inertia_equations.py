@@ -10,6 +10,7 @@ anywhere within its stiction.
 """
 
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -81,8 +82,6 @@ class InertiaEquations:
         self.basis = free_basis(robot)
         self.nuisances = NuisanceColumns(self.basis.size, robot.n)
         self.coupling_place = self.nuisances.size
-        # Most logs have one cut-off, so that one other is asked for again and again.
-        self._at_cutoff: dict[float, InertiaEquations] = {}
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
@@ -193,20 +192,20 @@ class InertiaEquations:
         )
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
-        """Return the same equations at another cut-off, to be compared with."""
-        if cutoff_hz not in self._at_cutoff:
-            motion = replace(
-                self.options.motion,
-                cutoff_hz=cutoff_hz,
-                logs_with_own_cutoff=frozenset(),
-            )
-            self._at_cutoff[cutoff_hz] = InertiaEquations(
-                self.robot,
-                self.stages,
-                replace(self.options, motion=motion),
-                only_compares=True,
-            )
-        return self._at_cutoff[cutoff_hz]
+        """Return the same equations at another cut-off, to be compared with.
+
+        Their motions are asked for once, and are not kept with those that are used.
+        """
+        motion = replace(
+            self.options.motion,
+            cutoff_hz=cutoff_hz,
+            logs_with_own_cutoff=frozenset(),
+            kept=None,
+        )
+        other = copy(self)
+        other.options = replace(self.options, motion=motion)
+        other.only_compares = True
+        return other
 
     def _right_side(self, motion: Motion, drive: DriveColumns) -> Array:
         """Return the torque (N, n) N m without friction and known rotors, filtered.

@@ -87,6 +87,9 @@ def test_a_change_since_a_log_is_worked_out_with_the_change_itself(
     np.testing.assert_array_equal(of_since[0][log == 0], 0.0)
     np.testing.assert_allclose(of_since[0][log == 1], of_change[0][log == 1])
 
+    for scene in stage.scenes:
+        scene.memo["slopes", 0] = (np.zeros(1),)
     stage.forget()
+    assert not any(scene.memo for scene in stage.scenes)
     (again,) = stage.columns([since])
     np.testing.assert_array_equal(again[0], of_since[0])

@@ -14,6 +14,7 @@ from seqid_cli.identify.friction_surface.trials import trials_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.identify.rigid import inertia, inertia_equations
+from seqid_cli.identify.rigid.drive_columns import Drives
 from seqid_cli.identify.rigid.inertia import LogRows, identify_inertia
 from seqid_cli.logs.long import open_long
 from seqid_cli.logs.read import read_recording
@@ -135,6 +136,26 @@ def test_rows_of_a_log_are_let_go_of_before_the_next_but_one_is_read(
     found = identify_inertia(logs, robot, known_friction(), options=OPTIONS).inertia
     assert n_alive == [0, 1, 1, 1]
     assert [use.log for use in found.motion_use] == [str(log.path) for log in logs]
+
+
+def test_a_comparison_of_cutoffs_keeps_no_motion_and_makes_no_friction_anew(
+    folder: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = read_recording(folder / "log.parquet", robot)
+    kept: dict[Any, Any] = {}
+    options = replace(
+        OPTIONS, motion=replace(OPTIONS.motion, kept=kept), neighbours=(0.8, 1.25)
+    )
+    made: list[Drives] = []
+
+    def counted(*arguments: Any) -> Drives:
+        made.append(Drives(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr(inertia_equations, "Drives", counted)
+    identify_inertia([recording], robot, known_friction(), options=options)
+    assert len(kept) == 1
+    assert len(made) == 1
 
 
 def test_one_factor_for_all_blocks_says_as_much_of_a_log() -> None:

@@ -262,16 +262,22 @@ class CandidateColumns:
         self._computed: dict[tuple[object, ...], Channels] = {}
         self._computed_on_links: dict[tuple[object, ...], Channels] = {}
 
-    def forget(self) -> None:
-        """Let go of the columns of all candidates: a search leaves thousands of them.
+    def forget(self, *, but_at: Collection[AnyJoint] = ()) -> None:
+        """Let go of the columns of candidates: a search leaves thousands of them.
 
         What is asked for again is worked out again.
+
+        Parameters
+        ----------
+        but_at : collection of int or None
+            Joints whose candidates stay (None: those of the whole arm).
         """
-        self._computed.clear()
-        self._computed_on_links.clear()
-        self.known.clear()
+        for columns in (self._computed, self._computed_on_links, self.known):
+            for address in [*columns]:
+                if address[1] not in but_at:
+                    del columns[address]
         for scene in self.scenes:
-            scene.forget()
+            scene.forget(but_at=but_at)
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Return columns of candidates on the rows of the joints that they touch."""

@@ -139,6 +139,13 @@ class Investigation:
         """The model with all that was selected."""
         return self.selection.model
 
+    def forget_search(self) -> None:
+        """Let go of what the search has worked out: what follows needs the room."""
+        self.ground.forget_search()
+        self.model.linear.forget_blocks()
+        for result in self.selection.terms:
+            result.model.linear.forget_blocks()
+
     @property
     def ground(self) -> SelectionProblem:
         """Rows and data sets, events left out."""

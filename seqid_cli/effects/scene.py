@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
@@ -100,11 +100,16 @@ class Scene:
         """Results of effects that are kept with the scene."""
         return {}
 
-    def forget(self) -> None:
-        """Let go of results of effects: what is asked for again is worked out again."""
-        self.memo.clear()
+    def forget(self, *, but_at: Collection[Joint] = ()) -> None:
+        """Let go of results of effects, but of those at some joints.
+
+        What is asked for again is worked out again.
+        """
+        for key in [*self.memo]:
+            if key[1] not in but_at:
+                del self.memo[key]
         if self.full is not None:
-            self.full.forget()
+            self.full.forget(but_at=but_at)
 
     @property
     def angle(self) -> Array:

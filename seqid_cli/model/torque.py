@@ -319,16 +319,19 @@ def slowest_near(
     cutoff_hz = motion.lowpass.cutoff_hz
     parts = max(1, math.ceil(per_period * cutoff_hz / motion.rate_hz))
 
-    # Velocities are joined by straight lines, so that thinning does not hide a reversal
-    # between two samples.
-    share = (np.arange(parts) / parts)[:, None]
-    following = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
-    between = velocity[:, None] * (1.0 - share) + following * share
-    speed = np.abs(between).reshape(-1, velocity.shape[1])
-
     reach = max(1, int(reach_periods * motion.rate_hz * parts / cutoff_hz))
-    slowest = minimum_filter1d(speed, 2 * reach + 1, axis=0, mode="nearest")
-    return np.asarray(slowest[::parts])
+
+    # Velocities are joined by straight lines, so that thinning does not hide a reversal
+    # between two samples. One at a time: the points between samples take much room.
+    share = np.arange(parts) / parts
+    slowest = np.empty_like(velocity)
+    for column, values in enumerate(velocity.T):
+        following = np.append(values[1:], values[-1:])
+        between = values[:, None] * (1.0 - share) + following[:, None] * share
+        speed = np.abs(between).ravel()
+        nearest = minimum_filter1d(speed, 2 * reach + 1, mode="nearest")
+        slowest[:, column] = nearest[::parts]
+    return slowest
 
 
 def sampled_friction(

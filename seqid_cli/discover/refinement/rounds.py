@@ -123,8 +123,7 @@ def refine(
     investigation = investigate(
         material.now(incoming_model), robot, file.stages, options, least=0.0
     )
-    # The models that follow need the room.
-    investigation.ground.forget_search()
+    investigation.forget_search()
     if investigation.selection.terms:
         loop.material = _material_to_fit(material, investigation, incoming_model)
         investigation = _add_effects(loop, investigation)
@@ -275,7 +274,7 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
                 loop.material.options,
                 candidates=waiting,
             )
-            investigation.ground.forget_search()
+            investigation.forget_search()
             findings = _Findings(loop, investigation, after=findings)
             next_results = findings.untried()
             if is_complete:

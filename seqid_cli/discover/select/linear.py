@@ -472,6 +472,13 @@ class LinearModel:
             )
         ]
 
+    def forget_blocks(self) -> None:
+        """Let go of the fits without each block, which take most of the room.
+
+        They are worked out again if they are asked for.
+        """
+        self.__dict__.pop("_without_block", None)
+
     def _without_rows(self, log: int, rows: Sequence[slice]) -> _WithoutBlock:
         """Return the fit without some rows of every channel, all of one log."""
         precision = self._precision.copy()

@@ -8,7 +8,7 @@ samples of a data set.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -199,10 +199,19 @@ class SelectionProblem:
         """Number of joints."""
         return self.stage.rows.n
 
-    def forget_search(self) -> None:
-        """Let go of what a finished search has worked out, and a fit does not need."""
-        self.stage.forget()
-        self._smooth.clear()
+    def forget_search(self, *, but_at: Collection[int | None] = ()) -> None:
+        """Let go of what a finished search has worked out, and a fit does not need.
+
+        Parameters
+        ----------
+        but_at : collection of int or None
+            Joints that may still be asked about (None: the whole arm).
+        """
+        self.stage.forget(but_at=but_at)
+        for key in [*self._smooth]:
+            joint, _ = key
+            if joint not in but_at:
+                del self._smooth[key]
 
     def tuner(self, linear: LinearModel) -> Tuner:
         """Return where settings of effects are searched beside a model."""

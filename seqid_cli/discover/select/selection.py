@@ -354,6 +354,11 @@ class Selection:
         """
         if least is None:
             least = self.options.min_confidence
+        # Rivals are asked for at the terms' joints alone.
+        n = self.model.ground.n
+        channels = frozenset[int]().union(*(term.channels for term in self.model.terms))
+        joints = {None, *(channel % n for channel in channels)}
+        self.model.ground.forget_search(but_at=joints)
         scored = _scored(self.model.linear, self._last_tried)
         self._name_at_joints()
         by_simplest = self._results_by_simplest(least)

@@ -92,4 +92,8 @@ def test_a_change_since_a_log_is_worked_out_with_the_change_itself(
     stage.forget()
     assert not any(scene.memo for scene in stage.scenes)
     (again,) = stage.columns([since])
+    stage.forget(but_at={0})
+    n_calls = len(calls)
+    stage.columns([since])
+    assert len(calls) == n_calls
     np.testing.assert_array_equal(again[0], of_since[0])

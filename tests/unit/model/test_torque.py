@@ -1,12 +1,18 @@
 """The torque model is the sum of its terms, filtered like the measured torque."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from seqid_cli.model.friction import friction_torque
-from seqid_cli.model.torque import TorqueModel, sampled_friction, sliding
+from seqid_cli.model.torque import (
+    TorqueModel,
+    sampled_friction,
+    sliding,
+    slowest_near,
+)
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, decimated
@@ -45,6 +51,22 @@ def motion() -> Motion:
     usable[:60] = usable[-60:] = False
     tau = lowpass(lowpass(10 * np.cos(q)))
     return made_motion(q, dq, ddq, lowpass, tau=tau, usable=usable)
+
+
+def test_speeds_near_by_are_looked_at_joint_by_joint() -> None:
+    """A joint has many points between two samples, and all of them would take room."""
+    rng = np.random.default_rng(0)
+    still = np.zeros((20_000, 6))
+    velocity = rng.normal(size=still.shape)
+    moving = made_motion(still, velocity, still, Lowpass(20.0, 200.0))
+    tracemalloc.start()
+    nearest = slowest_near(moving, velocity)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10 * velocity.nbytes
+    for joint in range(6):
+        alone = slowest_near(moving, velocity[:, [joint]])
+        np.testing.assert_array_equal(nearest[:, [joint]], alone)
 
 
 def rigid_stage(rotor: Array, coupling: str = "diagonal") -> RigidStage:

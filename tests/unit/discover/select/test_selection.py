@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from seqid_cli.discover.candidates import Candidate
+from seqid_cli.discover.investigate import FileResidual, Investigation
+from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.select import selection, terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
 from seqid_cli.discover.select.options import Options
@@ -18,7 +21,7 @@ from seqid_cli.discover.select.results import (
 from seqid_cli.discover.select.rows import Score
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.settings import EvidenceSettings
+from seqid_cli.discover.settings import DiscoverSettings, EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
 from tests import Array
@@ -81,6 +84,33 @@ def test_both_effects_are_taken_with_their_settings_and_sizes(
     model, drag = pair.model, found["quadratic_drag"]
     error = np.sqrt(model.covariance(drag)[0, 0])
     assert abs(model.coefficients(drag)[0] - DRAG) < 4.0 * error < 0.1 * DRAG
+
+
+def test_what_is_told_keeps_candidates_of_its_own_joints_alone() -> None:
+    found = selected(arm_scenes(at_joint(0, drag)), ("quadratic_drag", "spring"))
+    assert keys(found) == [("quadratic_drag", 0)]
+    ground = found.model.ground
+    assert {address[1] for address in ground.stage._computed} <= {0, None}
+    assert {joint for joint, _ in ground._smooth} <= {0}
+
+
+def test_fits_without_each_block_are_let_go_of_once_all_is_told(
+    pair: SelectionResult,
+) -> None:
+    linear = pair.model.linear
+    before = linear.jackknife(slice(0, 2))
+    assert "_without_block" in vars(linear)
+    investigation = Investigation(
+        logs=(),
+        selection=pair,
+        floor=cast(NoiseFloor, None),
+        events=(),
+        file_residual=cast(FileResidual, None),
+        settings=DiscoverSettings(),
+    )
+    investigation.forget_search()
+    assert "_without_block" not in vars(linear)
+    np.testing.assert_array_equal(linear.jackknife(slice(0, 2)), before)
 
 
 def test_what_no_effect_explains_is_a_smooth_function() -> None:

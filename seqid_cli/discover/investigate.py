@@ -300,41 +300,79 @@ def event_confidences(investigation: Investigation) -> list[float]:
 
     A push stands alone. Where much more than noise is left all along, the largest
     moment of it may be nothing else: it is no surer than its share in what is unknown
-    at its joints.
+    at its joints. A law that is not understood, and that a smooth function follows,
+    errs at moments: beside much of it odds are even that the event is one of these.
     """
     events = investigation.events
     if not events:
         return []
-    energies, energy_of_joint = event_energies(investigation)
+    energies = event_energies(investigation)
     min_sigma = investigation.settings.events.min_sigma
     confidences = []
-    for event, energy in zip(events, energies, strict=True):
-        at_joints = sum(energy_of_joint[joint] for joint in event.joints)
-        share = energy / max(energy + at_joints, 1e-300)
-        confidences.append(float(event.certainty(min_sigma) * share))
+    for event, energy in zip(events, energies.of_events, strict=True):
+        joints = list(event.joints)
+        left = float(energies.left[joints].sum())
+        of_functions = float(energies.of_functions[joints].sum())
+        share = energy / max(energy + left, 1e-300)
+        not_understood = of_functions / max(energy + of_functions, 1e-300)
+        certainty = event.certainty(min_sigma) * share
+        confidences.append(float(certainty * (1.0 - 0.5 * not_understood)))
     return confidences
 
 
-def event_energies(investigation: Investigation) -> tuple[list[float], Array]:
-    """Return squares beyond noise, in units of noise.
+@dataclass(frozen=True, kw_only=True)
+class EventEnergies:
+    """Squares beyond noise, in units of noise.
 
-    Returns
-    -------
-    list of float
+    Attributes
+    ----------
+    of_events : list of float
         Of each event.
-    (n,) array
+    left : (n,) array
         Of each joint in all that is left without the events.
+    of_functions : (n,) array
+        Of each joint in what smooth functions take up, as no effect explains it.
     """
+
+    of_events: list[float]
+    left: Array
+    of_functions: Array
+
+
+def event_energies(investigation: Investigation) -> EventEnergies:
+    """Return the energies of events, and of what else is unknown at the joints."""
     model = investigation.model
     rows = investigation.ground.stage.rows
     floor = np.maximum(investigation.floor.rms, 1e-12)
     left_by_scene = model.left()
-    energies = [
+    of_events = [
         event.energy(rows.scenes[event.scene], left_by_scene[event.scene] / floor)
         for event in investigation.events
     ]
-    beyond_noise = np.maximum((model.rms() / floor) ** 2 - 1.0, 0.0)
-    return energies, beyond_noise * [rows.count(joint) for joint in range(rows.n)]
+
+    counts = np.array([rows.count(joint) for joint in range(rows.n)])
+    squares_left = model.rms() ** 2
+    of_functions = rms_beside_functions(investigation) ** 2 - squares_left
+    return EventEnergies(
+        of_events=of_events,
+        left=np.maximum(squares_left / floor**2 - 1.0, 0.0) * counts,
+        of_functions=of_functions / floor**2 * counts,
+    )
+
+
+def rms_beside_functions(investigation: Investigation) -> Array:
+    """Return the RMS (n,) N m that effects leave of each joint, without functions.
+
+    What a smooth function takes up is known, but not understood.
+    """
+    squares_left = investigation.model.rms() ** 2
+    squares = squares_left.copy()
+    n = investigation.ground.n
+    for result in investigation.selection.smooth:
+        for joint in (channel for channel in result.term.channels if channel < n):
+            without = rms(result.left_without[joint]) ** 2
+            squares[joint] += max(without - squares_left[joint], 0.0)
+    return np.asarray(np.sqrt(squares))
 
 
 def _mark(
@@ -449,7 +487,8 @@ def events_of(
         for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
     ]
     events: list[Interval] = []
-    for event in find_events(rows, scaled, settings.events):
+    standing_out = find_events(rows, scaled, settings.events)
+    for event in standing_out:
         scene = rows.scenes[event.scene]
         inside = event.inside(scene)
         joints = list(event.joints)
@@ -461,9 +500,75 @@ def events_of(
         if not is_known and known_s >= KNOWN_S:
             is_known = np.sum(unknown & slides) <= most * np.sum(slides)
         residual = left_by_scene[event.scene]
-        if is_known and not of_law(event, scene, residual, settings):
+        if not is_known or of_law(event, scene, residual, settings):
+            continue
+        if is_in_reach_of_others(event, standing_out, rows.scenes, residual):
             events.append(event)
     return events
+
+
+def is_in_reach_of_others(
+    event: Interval,
+    standing_out: Sequence[Interval],
+    scenes: Sequence[Scene],
+    residual: Array,
+    *,
+    margin: float = 0.02,
+    least: float = 0.5,
+) -> bool:
+    """Return whether an event stands out where its joints get at other times as well.
+
+    A law that acts at the end of a joint's way, or at its top speed, acts whenever the
+    joint gets there. If it gets there in what stands out alone, nothing tells such a
+    law from a push.
+
+    Parameters
+    ----------
+    event : Interval
+        The event.
+    standing_out : sequence of Interval
+        All that stands out, the event included.
+    scenes : sequence of Scene
+        The data sets.
+    residual : (N, n) array
+        What is left in the event's data set [N m; N where prismatic].
+    margin : float
+        Share of the range at other times, by which a joint may leave it.
+    least : float
+        Share of the event's squares that must lie in that range.
+    """
+    elsewhere: list[Mask] = []
+    for number, scene in enumerate(scenes):
+        mask = np.ones(len(scene.motion.t), dtype=bool)
+        for other in standing_out:
+            if other.scene == number:
+                mask &= ~other.inside(scene)
+        elsewhere.append(mask)
+    if not any(mask.any() for mask in elsewhere):
+        return True
+
+    own = scenes[event.scene]
+    inside = event.inside(own)
+    total = 0.0
+    in_reach = 0.0
+    for joint in event.joints:
+        squares = np.where(own.slides[inside, joint], residual[inside, joint], 0.0) ** 2
+        is_reached = np.ones(len(squares), dtype=bool)
+        for quantity in ("q", "dq"):
+            at_other_times = np.concatenate(
+                [
+                    getattr(scene.motion, quantity)[mask, joint]
+                    for scene, mask in zip(scenes, elsewhere, strict=True)
+                ]
+            )
+            low = float(at_other_times.min())
+            high = float(at_other_times.max())
+            room = margin * (high - low)
+            values = getattr(own.motion, quantity)[inside, joint]
+            is_reached &= (values >= low - room) & (values <= high + room)
+        total += float(squares.sum())
+        in_reach += float(squares[is_reached].sum())
+    return in_reach >= least * total
 
 
 def _not_fitted(

@@ -4,6 +4,7 @@ import re
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -11,7 +12,11 @@ import pytest
 
 from seqid_cli.discover.candidates import CandidateColumns
 from seqid_cli.discover.diagnosis import described, diagnose
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import (
+    Investigation,
+    event_confidences,
+    investigate,
+)
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.notes import (
     detail_of,
@@ -209,6 +214,23 @@ def test_a_push_of_seconds_is_told_with_its_edges() -> None:
     assert found.unexplained == []
 
 
+def test_an_event_beside_a_larger_law_that_is_not_understood_is_not_sure() -> None:
+    case = held_push()
+    found = investigate(case.logs, case.robot, case.stages, OPTIONS)
+    (sure,) = event_confidences(found)
+    assert sure > 0.9
+
+    residual = [100.0 * r for r in found.model.linear.left_out]
+    function = SimpleNamespace(
+        term=SimpleNamespace(smooth=True, channels=frozenset({0, 1})),
+        left_without=residual,
+    )
+    beside = replace(found, selection=replace(found.selection, terms=[function]))
+    (unsure,) = event_confidences(beside)
+    assert unsure == pytest.approx(0.5 * sure, rel=0.2)
+    assert unsure < OPTIONS.settings.evidence.min_confidence
+
+
 def test_samples_of_events_that_are_not_told_go_back_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -231,7 +253,7 @@ def test_what_has_no_sure_name_is_unexplained_and_its_name_is_the_closest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     unsure = NameConfidence(confidence=0.69, by_itself=0.4)
-    monkeypatch.setattr("seqid_cli.discover.diagnosis.named", lambda *_: unsure)
+    monkeypatch.setattr("seqid_cli.discover.diagnosis.named", lambda *_, **__: unsure)
     said = described(investigated(HUMP), given(HUMP).robot)
     assert (said.verdict, said.findings) == ("unexplained", [])
     (part,) = said.unexplained

@@ -203,6 +203,20 @@ def test_terms_that_add_more_than_the_file_leaves_make_an_event(
     assert investigate.not_of_terms([PUSH], model) == ([] if expected else [PUSH])
 
 
+@pytest.mark.parametrize(("shift", "expected"), [(0.0, True), (2.0, False)])
+def test_a_stop_where_a_joint_is_nowhere_else_is_no_event(
+    model: Model, shift: float, expected: bool
+) -> None:
+    scenes = list(model.ground.stage.scenes)
+    motion = scenes[0].motion
+    q = motion.q.copy()
+    q[PUSH.inside(scenes[0]), 1] += shift * np.ptp(q[:, 1])
+    scenes[0] = replace(scenes[0], motion=replace(motion, q=q))
+    residual = np.ones_like(q)
+    is_event = investigate.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
+    assert is_event == expected
+
+
 def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:
     """Another joint's load turns round at five moments, in one of them a push lasts
     for 0.4 s: a sixth of the windows of that class are the push's own.

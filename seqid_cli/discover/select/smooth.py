@@ -233,11 +233,15 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
     functions = []
     for measure in measures:
         axis, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
+        if axis is None:
+            continue
+        U = smoothest(splines(x, axis.knots), greville(axis.knots))
         for k in range(rows.n):
-            other_axis, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
-            if k == j or axis is None or other_axis is None:
+            if k == j:
                 continue
-            U = smoothest(splines(x, axis.knots), greville(axis.knots))
+            other_axis, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
+            if other_axis is None:
+                continue
             V = smoothest(splines(z, other_axis.knots), greville(other_axis.knots))
             functions.append(
                 SmoothFunction(

@@ -5,11 +5,12 @@ it.
 import numpy as np
 import pytest
 
+from seqid_cli.discover.select import smooth
 from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
-from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
-from seqid_cli.effects.smooth import SmoothTerm
+from seqid_cli.effects.smooth import Axis, Measure, SmoothTerm
 from tests import Array
 from tests.unit.discover.arms import (
     Extra,
@@ -54,6 +55,30 @@ def selection(seed: int, extra: Extra | None) -> Selection:
         whole.motion.tau[:] += coloured(scene, rng)
         scenes.append(whole)
     return select(ground_of(scenes), [])
+
+
+def test_an_axis_of_two_quantities_is_made_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows = rows_of(related_scenes(0, logs=2))
+    made: list[tuple[str, int]] = []
+    axis = smooth._axis
+
+    def counted(
+        rows: Rows, joint: int, measure: Measure, owner: int, size: int
+    ) -> tuple[Axis | None, Array]:
+        made.append((measure, owner))
+        return axis(rows, joint, measure, owner, size)
+
+    monkeypatch.setattr(smooth, "_axis", counted)
+    functions = smooth.smooth_products(rows, 1)
+    assert len(functions) == 2
+    assert sorted(made) == [
+        ("position", 0),
+        ("position", 1),
+        ("velocity", 0),
+        ("velocity", 1),
+    ]
 
 
 @pytest.mark.parametrize("seed", [0, 1])

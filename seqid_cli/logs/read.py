@@ -37,6 +37,7 @@ from seqid_cli.typing import Array, Mask
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 # What is nearer to zero in SI units is below the resolution of any sensor.
 NOTHING = 1e-12
+EFFORTS = ("torque", "current")
 
 
 def read_recording(
@@ -236,7 +237,8 @@ def without_absurd(
 ) -> Stream:
     """Treat values that are infinite or larger than `most` as missing, and say so.
 
-    Those smaller than `least` are zero: squares of them would vanish by rounding.
+    A torque or current that never reaches `least` is zero: squares of its values would
+    vanish by rounding.
     """
     channels: dict[str, Array] = {}
     n_absurd = 0
@@ -247,8 +249,8 @@ def without_absurd(
         channels[name] = values
         if is_absurd.any():
             channels[name] = np.where(is_absurd, np.nan, values)
-        is_nothing = (size < least) & (size > 0.0)
-        if is_nothing.any():
+        is_nothing = ~(size >= least).any(axis=0) & (size > 0.0)
+        if name in EFFORTS and is_nothing.any():
             channels[name] = np.where(is_nothing, 0.0, channels[name])
 
     if not n_absurd:

@@ -142,12 +142,17 @@ def open_bag(path: Path, wanted: Wanted) -> Iterator[Bag]:
         connection.execute("PRAGMA cell_size_check = ON")
         database = _Database(connection, size, steps)
         topics = _topics(database)
-        links = [
-            each.channel.id
-            for each in topics
-            if each.schema.name in KEPT_TYPES and wanted(each.channel.topic)
-        ]
-        yield Bag(topics, lambda: _messages(database, links))
+
+        def messages() -> Iterator[Message]:
+            # Some topics are wanted for their type, which is known by now.
+            links = [
+                each.channel.id
+                for each in topics
+                if each.schema.name in KEPT_TYPES and wanted(each.channel.topic)
+            ]
+            return _messages(database, links)
+
+        yield Bag(topics, messages)
 
 
 def _connected(path: Path) -> sqlite3.Connection:

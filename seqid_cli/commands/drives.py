@@ -9,6 +9,7 @@ from seqid_cli import drive as drives
 from seqid_cli.commands.command_run import CommandRun
 from seqid_cli.commands.options import (
     SIX,
+    AddedToOption,
     CutoffOption,
     DebugOption,
     ExcludeOption,
@@ -17,7 +18,6 @@ from seqid_cli.commands.options import (
     LogsArgument,
     NoColorOption,
     OutputOption,
-    ParametersOption,
     QuietOption,
     RobotOption,
     SetOption,
@@ -54,13 +54,20 @@ def drive(
     *,
     logs: LogsArgument,
     robot: RobotOption = None,
-    parameters: ParametersOption,
+    parameters: AddedToOption = None,
     output: OutputOption = None,
     no_torque: Annotated[
         bool,
         typer.Option(
             "--no-torque",
             help="Take the model's torque of the motion instead of the logged one.",
+        ),
+    ] = False,
+    same_servos: Annotated[
+        bool,
+        typer.Option(
+            "--same-servos",
+            help="Joints have servos of one type: some tell of the others.",
         ),
     ] = False,
     cutoff_hz: CutoffOption = None,
@@ -82,8 +89,9 @@ def drive(
 
     The logs hold what the controllers were asked for (`<joint>.command`) beside the
     motion. A measured torque makes the gains several times more exact; without one the
-    torque that the model computes from the motion stands for it. Every number says
-    whether these logs show it, and if not what to record.
+    torque that the model computes from the motion stands for it, and each joint is
+    simulated in windows of the logs. Without -p the model is that of the URDF. Every
+    number says whether these logs show it, and if not what to record.
     """
     with CommandRun(
         "drive", quiet=quiet, verbose=verbose, json=json, no_color=no_color
@@ -95,12 +103,13 @@ def drive(
             part=LogPart.of(start, stop, exclude),
             skip_failed=skip_failed,
             no_torque=no_torque,
+            same_servos=same_servos,
         )
         settings = run.settings(DriveSettings(), set_values)
         file = drives.drive(
             logs,
             robot,
-            parameters,
+            parameters or (),
             options,
             settings=settings,
             output=output,
@@ -117,10 +126,15 @@ def _show_drive(screen: Screen, file: DriveFile) -> None:
     screen.values(tables.drive_parameters(file))
     for name, joint in file.joints.items():
         known = "" if joint.command_known else " (assumed)"
-        screen.result(
-            f"{name}: {percent(joint.left)} of the torque is left; commands are"
-            f" {joint.command}{known}"
-        )
+        left = [f"commands are {joint.command}{known}"]
+        if joint.left is not None:
+            left.append(f"{percent(joint.left)} of the torque is left by rows")
+        if joint.window_rms is not None:
+            left.append(
+                f"{joint.window_rms:.2g} of the position in held-out windows, where the"
+                f" guess leaves {joint.window_guess:.2g}"
+            )
+        screen.result(f"{name}: {'; '.join(left)}")
     if file.command_delay is not None and file.command_delay.value is not None:
         delay_ms = 1e3 * file.command_delay.value
         error_ms = 1e3 * (file.command_delay.std_error or 0.0)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def drive(
     logs: Logs,
     robot: PathLike | Robot,
-    parameters: Models,
+    parameters: Models = (),
     options: DriveOptions = DriveOptions(),
     *,
     settings: DriveSettings = DriveSettings(),
@@ -35,15 +35,19 @@ def drive(
     ----------
     logs : path, table, recording, or a sequence of them
         Motions under position control, with `<joint>.command`.
-    parameters : path or ParameterFile, or a sequence of them
-        The model of the arm.
+    parameters : path or ParameterFile, or a sequence of them, optional
+        The model of the arm. Without one it is that of the URDF's inertials, and the
+        logs have to tell friction and rotor inertia as well.
     """
     inputs = prepare(logs, robot, parameters, options, **keywords)
+    nominal = not inputs.models
     _check_model(inputs)
 
     # Imported here because they import numpy: a mistake in the arguments is told first.
     from seqid_cli.drive.fit import fit_joint
-    from seqid_cli.drive.result import drive_file
+    from seqid_cli.drive.nominal import nominal_stages
+    from seqid_cli.drive.result import DrivenArm, drive_file, explains
+    from seqid_cli.drive.rollouts.joints import fit_all_windows
     from seqid_cli.drive.signals import faults_of_command, signals_of
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.model.torque import TorqueModel
@@ -51,7 +55,8 @@ def drive(
     log_set = LogSet.of(inputs, imus=False)
     recordings = list(log_set)
     with_commands = logs_with_commands(recordings)
-    model = TorqueModel.from_stages(inputs.stages, inputs.robot)
+    stages = nominal_stages(inputs.robot) if nominal else inputs.stages
+    model = TorqueModel.from_stages(stages, inputs.robot)
     use_torque = not options.no_torque and all(
         log.tau is not None for log in with_commands
     )
@@ -69,29 +74,51 @@ def drive(
         for share in (1.0, 0.5)
     )
 
-    faults: dict[str, str] = {}
-    fits = {}
+    faults = {}
+    by_rows = {}
     for j, name in enumerate(inputs.robot.joint_names):
         fault = faults_of_command(wide, j)
-        fit = None if fault else fit_joint(wide, narrow, j, settings)
-        if fit is not None:
-            fits[name] = fit
+        if fault:
+            faults[name] = fault
         else:
-            faults[name] = fault or (
-                "too few samples in which it follows its command: record more motion"
-            )
-    file = drive_file(fits, faults, wide, inputs, log_set, settings)
+            by_rows[j] = fit_joint(wide, narrow, j, settings)
+    by_windows = {}
+    if settings.windows.most:
+        usable = {
+            j: fit if fit is not None and explains(fit, settings.verdict) else None
+            for j, fit in by_rows.items()
+        }
+        by_windows = fit_all_windows(
+            wide,
+            model,
+            usable,
+            settings,
+            nominal=nominal,
+            same_servos=options.same_servos,
+        )
+    arm = DrivenArm(
+        inputs=inputs, stages=stages, logs=wide, log_set=log_set, nominal=nominal
+    )
+    file = drive_file(by_rows, by_windows, faults, arm, settings)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file
 
 
 def _check_model(inputs: Inputs) -> None:
-    """Raise ConfigError where the parameter files hold no rigid body."""
+    """Raise ConfigError where neither file nor URDF holds a rigid body."""
+    hint = "Give the result of seqid inertia, or of seqid simultaneous."
+    if not inputs.models:
+        if inputs.robot.nominal is None:
+            raise ConfigError(
+                "names no URDF with inertials that could stand for a model of the arm",
+                where=str(inputs.robot.source),
+                hint=hint,
+            )
+        return
     if {"gravity", "inertia"} & present(inputs.stages).keys():
         return
     where = ", ".join(name for name, _ in inputs.models)
-    hint = "Give the result of seqid inertia, or of seqid simultaneous."
     raise ConfigError("holds no rigid body", where=where, hint=hint)
 
 

@@ -10,10 +10,12 @@ class DriveOptions(LogOptions):
     """Options of the identification of the controllers.
 
     With `no_torque` the logged torque is left aside, and the torque that the model
-    computes from the motion takes its place.
+    computes from the motion takes its place. With `same_servos` the joints have servos
+    of one type, so that what some joints show is a prior of the others.
     """
 
     no_torque: bool = False
+    same_servos: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """The document of a drive: each number with its state, verdicts, and notes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from seqid_cli.drive.equations import (
     VELOCITY_FEEDFORWARD,
 )
 from seqid_cli.drive.fit import JointFit
+from seqid_cli.drive.rollouts.fit import WindowFit
 from seqid_cli.drive.settings import DriveSettings, DriveVerdictSettings
 from seqid_cli.drive.signals import DriveSignals
 from seqid_cli.identify.inputs import Inputs
@@ -26,7 +28,7 @@ from seqid_cli.params.results.drive import (
     DriveParameter,
     JointDrive,
 )
-from seqid_cli.params.schema import Verdict
+from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.shares import percent
 from seqid_cli.units import unit_of
 
@@ -39,6 +41,32 @@ RECORD: Mapping[str, str] = {
     INTEGRAL: "hold the joint for some seconds between moves, against gravity",
     GRAVITY: "move the joint, or those before it, to where gravity's torque differs",
 }
+# Units of what windows of simulated motion tell beside the parts of the controller.
+WINDOW_UNITS: Mapping[str, str] = {
+    "command_delay": "s",
+    "torque_lag": "s",
+    "armature": "kg m^2",
+    "coulomb": "N m",
+    "friction_factor": "1",
+    "stribeck": "N m",
+    "stribeck_speed": "rad/s",
+    "load_friction": "1",
+    "dead_band": "rad",
+}
+# What has no scale of its own where no torque, gravity or inertia is known.
+SCALED = (PROPORTIONAL, DERIVATIVE, INTEGRAL, "armature", "coulomb", "stribeck")
+TOO_FEW = "too few samples in which it follows its command: record more motion"
+NO_SCALE = (
+    "without a torque only its ratio to gravity or inertia shows, and neither is known"
+    " here: log a torque, give rotor_inertia, or move the joint against gravity"
+)
+PRIOR_ALONE = "these logs add little to the guess: record larger and faster motion"
+VISCOUS_TOO = (
+    "holds viscous friction as well: without a torque or a commanded velocity the two"
+    " are one"
+)
+# Of the error that the fit by rows leaves in held-out windows.
+BETTER = 0.99
 # Delays of joints that differ by less than so many standard errors are one.
 SAME_DELAY_SIGMA = 3.0
 # Of the proportional gain, as its standard error: up to it a joint is good.
@@ -47,79 +75,172 @@ MAX_ERROR = 0.1
 INTERVAL = 1.96
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrivenArm:
+    """The arm whose controllers were fitted, and its logs.
+
+    `nominal`: `stages` are those of the URDF's inertials alone.
+    """
+
+    inputs: Inputs
+    stages: Stages
+    logs: Sequence[DriveSignals]
+    log_set: LogSet
+    nominal: bool
+
+
+def explains(fit: JointFit, limits: DriveVerdictSettings) -> bool:
+    """Tell whether a fit by rows is one to begin with."""
+    return fit.values[PROPORTIONAL] > 0.0 and fit.left <= limits.max_left
+
+
 def drive_file(
-    fits: Mapping[str, JointFit],
+    by_rows: Mapping[int, JointFit | None],
+    by_windows: Mapping[int, WindowFit],
     faults: Mapping[str, str],
-    logs: Sequence[DriveSignals],
-    inputs: Inputs,
-    log_set: LogSet,
+    arm: DrivenArm,
     settings: DriveSettings,
 ) -> DriveFile:
     """Describe fits as the document of a drive.
 
     Parameters
     ----------
-    fits : mapping of str to JointFit
+    by_rows : mapping of int to JointFit or None
+        By joint; None where too few rows were there.
+    by_windows : mapping of int to WindowFit
         By joint.
     faults : mapping of str to str
-        Why a joint has none, by joint.
-    logs : sequence of DriveSignals
-    inputs : Inputs
-        Robot and model that the logs were read with.
-    log_set : LogSet
-        The logs, read.
+        Why a joint was not fitted, by joint.
+    arm : DrivenArm
     settings : DriveSettings
     """
-    prismatic = {joint.name for joint in inputs.robot.joints if joint.prismatic}
-    joints = {
-        name: _joint(fit, slides=name in prismatic, measured=logs[0].measured)
-        for name, fit in fits.items()
-    }
-    common = common_delay(joints)
-    of_joints = [
-        *(
-            Verdict(joint=name, good=False, reason=reason)
-            for name, reason in faults.items()
-        ),
-        *(verdict_of_joint(name, fit, settings.verdict) for name, fit in fits.items()),
-    ]
+    joints = {}
     verdicts = [
-        _verdict_of_all(of_joints),
-        *log_set.verdicts(),
-        *of_joints,
+        Verdict(joint=name, good=False, reason=reason)
+        for name, reason in faults.items()
     ]
+    for j, rows in by_rows.items():
+        name = arm.inputs.robot.joint_names[j]
+        windows = by_windows.get(j)
+        if rows is not None and windows is not None and not is_better(windows):
+            windows = None
+        if rows is None and windows is None:
+            verdicts.append(Verdict(joint=name, good=False, reason=TOO_FEW))
+            continue
+        described = _Described(
+            rows=rows,
+            windows=windows,
+            slides=arm.inputs.robot.joints[j].prismatic,
+            measured=arm.logs[0].measured,
+            course=next(iter(arm.logs[0].commands)),
+        )
+        joints[name] = described.joint()
+        verdicts.append(_verdict(name, described, settings.verdict))
+    common = common_delay(joints)
     return DriveFile(
-        **head(DRIVE_SCHEMA, log_set.created(inputs.documents)),
-        robot=robot_id(inputs.robot),
-        inputs=log_set.inputs(),
-        models=inputs.ids(),
-        method="torque" if logs[0].measured else "motion",
+        **head(DRIVE_SCHEMA, arm.log_set.created(arm.inputs.documents)),
+        robot=robot_id(arm.inputs.robot),
+        inputs=arm.log_set.inputs(),
+        models=arm.inputs.ids(),
+        method="torque" if arm.logs[0].measured else "motion",
         command_delay=common,
         joints=joints,
-        stages=inputs.stages,
-        cutoff_hz=logs[0].cutoff_hz,
-        verdicts=verdicts,
-        notes=[*log_set.notes(), *_notes(joints, common, inputs)],
+        stages=arm.stages,
+        cutoff_hz=arm.logs[0].cutoff_hz,
+        verdicts=[_verdict_of_all(verdicts), *arm.log_set.verdicts(), *verdicts],
+        notes=[*arm.log_set.notes(), *_notes(joints, common, arm)],
         effective_settings=used_settings(settings),
     )
 
 
-def _joint(fit: JointFit, *, slides: bool, measured: bool) -> JointDrive:
-    parameters = [_delay(fit), _lag(fit, measured=measured)]
-    parameters += [_part(fit, name, slides=slides) for name in PARTS]
-    parameters += [
-        _torque_limit(fit, slides=slides),
-        _velocity_limit(fit, slides=slides),
-    ]
-    return JointDrive(
-        parameters=parameters,
-        command=fit.course,
-        command_known=fit.course_is_known,
-        left=fit.left,
-        rmse=fit.rmse,
-        samples=fit.rows,
-        offset=fit.offset,
-    )
+def is_better(windows: WindowFit) -> bool:
+    """Tell whether windows that were held out gained by the fit by windows."""
+    return windows.rms < BETTER * windows.rms_by_rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Described:
+    """What both fits say of a joint; either may be missing."""
+
+    rows: JointFit | None
+    windows: WindowFit | None
+    slides: bool
+    measured: bool
+    course: str
+
+    def joint(self) -> JointDrive:
+        """Return the joint's part of the document."""
+        rows = self.rows
+        windows = self.windows
+        parameters = self._by_rows()
+        if windows is not None:
+            parameters = self._with_windows(parameters, windows)
+        return JointDrive(
+            parameters=parameters,
+            command=self.course if rows is None else rows.course,
+            command_known=rows is not None and rows.course_is_known,
+            left=None if rows is None else rows.left,
+            rmse=None if rows is None else rows.rmse,
+            samples=0 if rows is None else rows.rows,
+            offset=self._offset(),
+            windows=0 if windows is None else windows.windows,
+            window_rms=None if windows is None else windows.rms,
+            window_guess=None if windows is None else windows.rms_of_guess,
+        )
+
+    def _offset(self) -> float:
+        if self.windows is not None and "offset" in self.windows.values:
+            return self.windows.values["offset"]
+        return 0.0 if self.rows is None else self.rows.offset
+
+    def _by_rows(self) -> list[DriveParameter]:
+        fit = self.rows
+        if fit is None:
+            return [
+                DriveParameter(
+                    name=name,
+                    value=None,
+                    std_error=None,
+                    unit=self.unit(name),
+                    state="not_shown",
+                    reason=TOO_FEW,
+                )
+                for name in ("command_delay", "torque_lag", *PARTS)
+            ]
+        return [
+            _delay(fit),
+            _lag(fit, measured=self.measured),
+            *(_part(fit, name, slides=self.slides) for name in PARTS),
+            _torque_limit(fit, slides=self.slides),
+            _velocity_limit(fit, slides=self.slides),
+        ]
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a parameter."""
+        return unit_of(UNITS.get(name) or WINDOW_UNITS[name], self.slides)
+
+    def _with_windows(
+        self, parameters: Sequence[DriveParameter], fit: WindowFit
+    ) -> list[DriveParameter]:
+        """Put what windows tell in the place of what rows tell."""
+        by_name = {parameter.name: parameter for parameter in parameters}
+        for name, value in fit.values.items():
+            if name == "offset":
+                continue
+            reason = ""
+            if name == DERIVATIVE and "viscous" not in fit.values and not self.measured:
+                reason = VISCOUS_TOO
+            before = by_name.get(name)
+            if name == "command_delay" and before is not None:
+                reason = before.reason
+            parameter = _identified(
+                name, value, fit.std_errors[name], self.unit(name), reason
+            )
+            if name in fit.open:
+                parameter.state = "not_shown"
+                parameter.reason = NO_SCALE if name in SCALED else PRIOR_ALONE
+            by_name[name] = parameter
+        return list(by_name.values())
 
 
 def _identified(
@@ -248,6 +369,33 @@ def common_delay(joints: Mapping[str, JointDrive]) -> DriveParameter | None:
     return _identified("command_delay", mean, float(errors.min()), "s")
 
 
+def _verdict(name: str, described: _Described, limits: DriveVerdictSettings) -> Verdict:
+    """Judge a joint by its rows, or by its windows where these tell the gains."""
+    windows = described.windows
+    rows = described.rows
+    if windows is None or PROPORTIONAL not in windows.values:
+        assert rows is not None or windows is not None
+        if rows is not None:
+            return verdict_of_joint(name, rows, limits)
+    assert windows is not None
+    share = windows.rms / max(windows.rms_of_guess, 1e-300)
+    beside = (
+        f"held-out windows are off by {windows.rms:.2g}, start and change of the"
+        f" command by {windows.rms_of_guess:.2g}"
+    )
+    if share >= 1.0:
+        return Verdict(joint=name, good=False, reason=beside)
+    if PROPORTIONAL in windows.open:
+        return Verdict(
+            joint=name, good=False, level="usable", reason=f"{PROPORTIONAL}: {NO_SCALE}"
+        )
+    error = windows.std_errors[PROPORTIONAL] / windows.values[PROPORTIONAL]
+    if share > limits.good_windows or error > MAX_ERROR:
+        reason = f"{beside}; the proportional gain is known to {percent(error)}"
+        return Verdict(joint=name, good=False, level="usable", reason=reason)
+    return Verdict(joint=name, good=True)
+
+
 def verdict_of_joint(name: str, fit: JointFit, limits: DriveVerdictSettings) -> Verdict:
     """Judge the controller of a joint by what it leaves, and by its gain's error."""
     error = fit.std_errors[PROPORTIONAL] / max(abs(fit.values[PROPORTIONAL]), 1e-300)
@@ -279,9 +427,15 @@ def _verdict_of_all(of_joints: Sequence[Verdict]) -> Verdict:
 
 
 def _notes(
-    joints: Mapping[str, JointDrive], common: DriveParameter | None, inputs: Inputs
+    joints: Mapping[str, JointDrive], common: DriveParameter | None, arm: DrivenArm
 ) -> list[str]:
+    inputs = arm.inputs
     notes = []
+    if arm.nominal:
+        notes.append(
+            "the model is that of the URDF's inertials: gains are as right as its"
+            " masses"
+        )
     if joints and common is None:
         notes.append("the joints' command delays differ by more than their errors")
     if inputs.stages.effects:

@@ -19,6 +19,26 @@ class TermSettings(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
+class WindowSettings(Group):
+    """Windows of the logs in which the closed loop of each joint is simulated."""
+
+    most: int = setting(
+        240,
+        unit="windows",
+        reason="of each joint, taken evenly; 0 leaves the fit by rows alone",
+        low=0,
+        high=100_000,
+    )
+    length_s: float = setting(
+        1.0,
+        unit="s",
+        reason="of a window: long against a loop, so that errors show",
+        low=0.1,
+        high=60.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class DriveVerdictSettings(Group):
     """When the controller of a joint is good, and when it is poor."""
 
@@ -36,6 +56,13 @@ class DriveVerdictSettings(Group):
         low=0.01,
         high=1.0,
     )
+    good_windows: float = setting(
+        0.5,
+        unit="of the guess's error",
+        reason="in windows, beside start and change of the command, to be good",
+        low=0.01,
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,4 +70,5 @@ class DriveSettings(Settings):
     """Settings of `drive`."""
 
     terms: TermSettings = TermSettings()
+    windows: WindowSettings = WindowSettings()
     verdict: DriveVerdictSettings = DriveVerdictSettings()

@@ -32,6 +32,9 @@ ECHO = 1e-5
 # Samples about a place from which values there are interpolated: with fewer a delay
 # would damp what is at the upper end of the band.
 KNOTS = np.arange(-3, 5)
+# A joint stands that has moved by less than so many steps of its encoder for so long.
+STANDS_S = 0.1
+STANDS_STEPS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +69,8 @@ class DriveSignals:
     moving : (N, n) mask
     command_period_s : float
         Time between two commands.
+    noise_step : (n,) array
+        rad, that a position jumps by at rest.
     raw : Recording
         The log itself.
     """
@@ -84,7 +89,17 @@ class DriveSignals:
     moving: Mask
     command_form: CommandForm
     command_period_s: float
+    noise_step: Array
     raw: Recording
+
+    def command_steps(self, joint: int) -> tuple[Array, Array]:
+        """Return when a joint's commands were sent (K,) [s], and these (K,) [rad]."""
+        if self.sent is not None:
+            times, values = self.sent
+            return times, values[:, joint]
+        assert self.raw.command is not None
+        present = np.isfinite(self.raw.command[:, joint])
+        return self.raw.t[present], self.raw.command[present, joint]
 
 
 def signals_of(
@@ -159,6 +174,7 @@ def signals_of(
             if sent is None
             else float(np.quantile(np.diff(sent[0]), 0.25))
         ),
+        noise_step=np.broadcast_to(survey.noise_step(resolution), log.q.shape[1:]),
         raw=log,
     )
 
@@ -231,15 +247,7 @@ def _courses(log: Recording, commands: tuple[Array, Array] | None) -> dict[str, 
 
 def command_at(log: DriveSignals, course: str, joint: int, t: Array) -> Array:
     """Return a joint's command (K,) at some times, as it runs between two stamps."""
-    raw = log.raw
-    assert raw.command is not None
-    if log.sent is not None:
-        times, values = log.sent
-        column = values[:, joint]
-    else:
-        present = np.isfinite(raw.command[:, joint])
-        times = raw.t[present]
-        column = raw.command[present, joint]
+    times, column = log.command_steps(joint)
     if course == "held":
         # A stamp that lies on a row is rounded.
         latest = np.searchsorted(times, t + 1e-6 / log.rate_hz, side="right") - 1

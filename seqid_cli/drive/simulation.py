@@ -14,25 +14,24 @@ inside where the joint stands. With A = M + dt kd this is a complementarity prob
 
 solved joint by joint in turn (projected Gauss-Seidel), beginning with the friction of
 the step before. A torque at its limit has no damping of its own.
+
+A joint that stands where its window begins is held by friction, whatever the torque: so
+much it can hold until it moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.logs.raw import Rows
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.drive.friction_table import FrictionTable
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 STEP_S = 1e-3  # at most; half of it moves a replayed position by less than 1e-4 of it
 SWEEPS = 8  # over the joints, for friction; one joint is solved by the first
-# Widths of the sign over which friction changes sides: beyond them it is whole.
-FULL_WIDTHS = 5.0
 FASTEST = 1e3  # rad/s, that no joint reaches
-POSITIONS = 33  # of the friction tables
-SPEEDS = 65
+HOLDS = 1e-9  # share by which friction holds more than it must: rounding moves nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +46,15 @@ class Gains:
     gravity: Array
     offset: Array  # N m
     torque_limit: Array  # N m, infinite where there is none
+    # What the model of the arm lacks, and what windows of the logs have shown.
+    velocity_limit: Array  # rad/s, infinite where there is none
+    dead_band: Array  # rad, of the error of the position
+    armature: Array  # kg m^2
+    coulomb: Array  # N m
+    friction_factor: Array  # of the model's friction
+    stribeck: Array  # N m, by which friction is larger at rest
+    stribeck_speed: Array  # rad/s, over which that falls off
+    load_friction: Array  # N m per N m behind the gear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,62 +75,6 @@ class Simulated:
     torque: Array
 
 
-@dataclass
-class FrictionTable:
-    """Friction of one joint for either direction, on a grid of positions and speeds.
-
-    A surface is a polynomial that costs much to evaluate at every step.
-    """
-
-    positions: Array
-    speeds: Array
-    forward: Array = field(repr=False)  # (POSITIONS, SPEEDS) N m
-    backward: Array = field(repr=False)
-
-    @classmethod
-    def of(
-        cls, surface: FrictionSurface | None, low: float, high: float, fastest: float
-    ) -> "FrictionTable":
-        """Fill the table over some positions, up to a speed."""
-        positions = np.linspace(low, high, POSITIONS)
-        speeds = np.linspace(0.0, fastest, SPEEDS)
-        if surface is None:
-            nothing = np.zeros((POSITIONS, SPEEDS))
-            return cls(positions, speeds, nothing, nothing)
-        full = np.maximum(speeds, FULL_WIDTHS * surface.sign_width)
-        q = np.repeat(positions, SPEEDS)
-        v = np.tile(full, POSITIONS)
-        shape = (POSITIONS, SPEEDS)
-        return cls(
-            positions,
-            speeds,
-            surface.torque(q, v).reshape(shape),
-            surface.torque(q, -v).reshape(shape),
-        )
-
-    def limits(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the least and the largest friction (B,) N m."""
-        i, x = _place(self.positions, q)
-        k, y = _place(self.speeds, np.abs(v))
-
-        def at(table: Array) -> Array:
-            before = table[i, k] * (1.0 - y) + table[i, k + 1] * y
-            after = table[i + 1, k] * (1.0 - y) + table[i + 1, k + 1] * y
-            return np.asarray(before * (1.0 - x) + after * x)
-
-        low = at(self.backward)
-        high = at(self.forward)
-        return np.minimum(low, high), np.maximum(low, high)
-
-
-def _place(grid: Array, values: Array) -> tuple[Rows, Array]:
-    """Return the cell of each value on an even grid, and the place in it, 0 to 1."""
-    place = (values - grid[0]) / (grid[1] - grid[0])
-    place = np.clip(place, 0.0, len(grid) - 1.000001)
-    cell: Rows = place.astype(np.intp)
-    return cell, np.asarray(place - cell)
-
-
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
     """An arm with its controllers."""
@@ -132,7 +84,13 @@ class ClosedLoop:
     friction: Sequence[FrictionTable]
 
     def run(
-        self, q0: Array, v0: Array, first_torque: Array, asked: Asked, step_s: float
+        self,
+        q0: Array,
+        v0: Array,
+        first_torque: Array,
+        asked: Asked,
+        step_s: float,
+        standing: Mask | None = None,
     ) -> Simulated:
         """Run the windows from their first states.
 
@@ -144,12 +102,16 @@ class ClosedLoop:
             N m, by which integrals begin where they must be.
         asked : Asked
         step_s : float
+        standing : (B, n) mask, optional
+            Joints that stand where a window begins: friction holds them, whatever the
+            torque, until they move.
         """
         gains = self.gains
         steps = len(asked.c)
         q = q0.copy()
         v = v0.copy()
         f = np.zeros_like(q)
+        holding = np.zeros_like(q)
         out = Simulated(
             q=np.empty_like(asked.c),
             dq=np.empty_like(asked.c),
@@ -173,7 +135,11 @@ class ClosedLoop:
             out.q[k] = q
             out.dq[k] = v
             out.torque[k] = u - kd * v
-            q, v, f = self._stepped(q, v, f, u, kd, step_s)
+            if k == 0 and standing is not None:
+                v = np.where(standing, 0.0, v)
+                holding = self._holding(q, v, u, standing)
+            q, v, f = self._stepped(q, v, f, u, kd, step_s, holding)
+            holding = np.where(v == 0.0, holding, 0.0)
             # A controller at its limit does not sum up what it cannot give.
             integral = integral + np.where(is_free, asked.c[k] - q, 0.0) * step_s
         return out
@@ -189,13 +155,16 @@ class ClosedLoop:
         for k in range(len(torque)):
             out.q[k] = q
             out.dq[k] = v
-            q, v, f = self._stepped(q, v, f, torque[k], np.zeros_like(q), step_s)
+            nothing = np.zeros_like(q)
+            q, v, f = self._stepped(q, v, f, torque[k], nothing, step_s, nothing)
         return out
 
     def _law(self, asked: Asked, k: int, q: Array, v: Array, integral: Array) -> Array:
         """Return what the controllers ask for without their damping (B, n) N m."""
         gains = self.gains
-        u = gains.proportional * (asked.c[k] - q) + gains.offset
+        error = asked.c[k] - q
+        error = error - np.clip(error, -gains.dead_band, gains.dead_band)
+        u = gains.proportional * error + gains.offset
         u = u + gains.velocity_feedforward * asked.dc[k]
         u = u + gains.acceleration_feedforward * asked.ddc[k]
         u = u + gains.integral * integral
@@ -205,7 +174,14 @@ class ClosedLoop:
         return np.asarray(u)
 
     def _stepped(
-        self, q: Array, v: Array, f: Array, u: Array, kd: Array, step_s: float
+        self,
+        q: Array,
+        v: Array,
+        f: Array,
+        u: Array,
+        kd: Array,
+        step_s: float,
+        holding: Array,
     ) -> tuple[Array, Array, Array]:
         """Return positions, speeds and friction (B, n) a step later."""
         M, h = self._dynamics(q, v)
@@ -216,16 +192,43 @@ class ClosedLoop:
         w = np.einsum("bij,bj->bi", inverse, momentum + step_s * (u - h))
         inverse = step_s * inverse
 
-        limits = [self.friction[j].limits(q[:, j], v[:, j]) for j in range(n)]
+        low, high = self._friction(q, v, h)
+        low = low - holding
+        high = high + holding
         f = f.copy()
         for _ in range(SWEEPS if n > 1 else 1):
-            for j, (low, high) in enumerate(limits):
+            for j in range(n):
                 speed = w[:, j] - np.einsum("bk,bk->b", inverse[:, j], f)
-                f[:, j] = np.clip(f[:, j] + speed / inverse[:, j, j], low, high)
+                f[:, j] = np.clip(
+                    f[:, j] + speed / inverse[:, j, j], low[:, j], high[:, j]
+                )
         v_next = w - np.einsum("bij,bj->bi", inverse, f)
+        # Sweeps leave a joint that stands a speed of their own error.
+        inside = (f > low) & (f < high)
+        v_next = np.where(inside, 0.0, v_next)
         # A loop that is not stable stays a number, and far off.
-        v_next = np.clip(np.nan_to_num(v_next), -FASTEST, FASTEST)
+        fastest = np.minimum(self.gains.velocity_limit, FASTEST)
+        v_next = np.clip(np.nan_to_num(v_next), -fastest, fastest)
         return q + step_s * v_next, v_next, f
+
+    def _friction(self, q: Array, v: Array, load: Array) -> tuple[Array, Array]:
+        """Return the least and the largest friction (B, n) N m."""
+        gains = self.gains
+        size = gains.coulomb + gains.load_friction * np.abs(load)
+        size = size + gains.stribeck * np.exp(-np.square(v / gains.stribeck_speed))
+        limits = [
+            table.limits(q[:, j], v[:, j]) for j, table in enumerate(self.friction)
+        ]
+        low = np.stack([low for low, _ in limits], axis=1)
+        high = np.stack([high for _, high in limits], axis=1)
+        return gains.friction_factor * low - size, gains.friction_factor * high + size
+
+    def _holding(self, q: Array, v: Array, u: Array, standing: Mask) -> Array:
+        """Return the torque (B, n) beyond its law by which friction holds joints."""
+        _, h = self._dynamics(q, v)
+        low, high = self._friction(q, v, h)
+        beyond = np.maximum(u - h - high, low - (u - h))
+        return np.where(standing, np.maximum(beyond, 0.0) * (1.0 + HOLDS), 0.0)
 
     def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return mass matrices (B, n, n), and Coriolis and gravity torque (B, n)."""
@@ -238,5 +241,5 @@ class ClosedLoop:
             np.concatenate([v, np.zeros(((n + 1) * B, n))]),
             np.concatenate([zeros, zeros, accelerations]),
         ).reshape(n + 2, B, n)
-        M = np.moveaxis(torque[2:] - torque[1], 0, 2)
+        M = np.moveaxis(torque[2:] - torque[1], 0, 2) + np.diag(self.gains.armature)
         return np.asarray(M), np.asarray(torque[0])

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.drive.signals import DriveSignals, command_at
-from seqid_cli.drive.simulation import (
-    STEP_S,
-    Asked,
-    ClosedLoop,
-    FrictionTable,
-    Gains,
+from seqid_cli.drive.friction_table import table_for
+from seqid_cli.drive.signals import (
+    STANDS_S,
+    STANDS_STEPS,
+    DriveSignals,
+    command_at,
 )
+from seqid_cli.drive.simulation import STEP_S, Asked, ClosedLoop, Gains
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.drive import DriveFile
@@ -29,9 +29,6 @@ from seqid_cli.params.results.replay import ReplayError, ReplayJoint, WorstWindo
 from seqid_cli.typing import Array, Mask
 
 MOST_WINDOWS = 400  # in one run of the simulation: more take memory and save no time
-# Beyond the positions and speeds of the log, as a share of them, to which friction is
-# tabled: a replayed joint overshoots where the real one did not.
-MARGIN = 0.2
 # Steps of the delays that are tried for the trivial guesses, in samples.
 DELAY_STEPS = 1
 
@@ -78,7 +75,12 @@ def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
     def column(parameter: str) -> Array:
         return np.array([joint.value(parameter) for joint in joints])
 
-    limits = [joint.known("torque_limit") for joint in joints]
+    def known(parameter: str, otherwise: float) -> Array:
+        values = [joint.known(parameter) for joint in joints]
+        return np.array(
+            [otherwise if value is None else value for value in values], np.float64
+        )
+
     return Gains(
         proportional=column("proportional"),
         derivative=column("derivative"),
@@ -87,9 +89,15 @@ def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
         acceleration_feedforward=column("acceleration_feedforward"),
         gravity=column("gravity_compensation"),
         offset=np.array([joint.offset for joint in joints]),
-        torque_limit=np.array(
-            [np.inf if limit is None else limit for limit in limits], np.float64
-        ),
+        torque_limit=known("torque_limit", np.inf),
+        velocity_limit=known("velocity_limit", np.inf),
+        dead_band=column("dead_band"),
+        armature=column("armature"),
+        coulomb=column("coulomb"),
+        friction_factor=known("friction_factor", 1.0),
+        stribeck=column("stribeck"),
+        stribeck_speed=known("stribeck_speed", 1.0),
+        load_friction=column("load_friction"),
     )
 
 
@@ -97,19 +105,7 @@ def closed_loop(
     file: DriveFile, model: TorqueModel, logs: Sequence[DriveSignals]
 ) -> ClosedLoop:
     """Build the simulation of an arm with its controllers, for the range of logs."""
-    tables = []
-    for j, surface in enumerate(model.surfaces):
-        q = np.concatenate([log.q[:, j] for log in logs])
-        fastest = max(float(np.abs(log.dq[:, j]).max()) for log in logs)
-        margin = MARGIN * max(float(np.ptp(q)), 1e-3)
-        tables.append(
-            FrictionTable.of(
-                surface,
-                float(q.min()) - margin,
-                float(q.max()) + margin,
-                (1.0 + 2.0 * MARGIN) * max(fastest, 1e-3),
-            )
-        )
+    tables = [table_for(surface, logs, j) for j, surface in enumerate(model.surfaces)]
     return ClosedLoop(
         model=model, gains=gains_of(file, model.robot.joint_names), friction=tables
     )
@@ -140,7 +136,8 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
     first_torque = np.stack([window.log.torque[window.start] for window in windows])
     steps = (rows - 1) * per_row + 1
     asked = _asked(file, windows, steps, step_s)
-    simulated = loop.run(q0, v0, first_torque, asked, step_s)
+    standing = np.array([_stands(window) for window in windows])
+    simulated = loop.run(q0, v0, first_torque, asked, step_s, standing)
 
     measured = _rows(windows, "q")
     speed = _rows(windows, "dq")
@@ -162,6 +159,14 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
         open_position=open_position,
         step_s=step_s,
     )
+
+
+def _stands(window: Window) -> Mask:
+    """Return which joints (n,) have stood still for a moment before a window."""
+    log = window.log
+    rows = max(1, round(STANDS_S * log.rate_hz))
+    before = log.raw.q[max(0, window.start - rows) : window.start + 1]
+    return np.asarray(np.ptp(before, axis=0) <= STANDS_STEPS * log.noise_step)
 
 
 def _whole(errors: Array) -> Array:

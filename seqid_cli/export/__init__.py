@@ -8,6 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from seqid_cli.errors import ConfigError
+from seqid_cli.export.drives import (
+    drive_model,
+    drive_notes,
+    drive_of,
+    mjcf_with_drives,
+)
 from seqid_cli.export.formats import BY_TITLE, Format, format_of
 from seqid_cli.export.formats import export as export_form
 from seqid_cli.identify.inputs import (
@@ -23,6 +30,8 @@ from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head, join, present, robot_id
 from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.params.io import file_sha256
+from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.params.results.export import (
     EXPORT_SCHEMA,
     CollisionLimits,
@@ -94,6 +103,10 @@ def export(
     check_output(output_path, [*paths, robot_path])
     if form.extent == "load":
         return _export_load(form, paths, robot_path, output_path)
+
+    drive = drive_of(paths)
+    if drive is not None:
+        return _export_drive(drive, form, paths[0], robot_path, output_path)
 
     models = read_models(models_or_paths)
     file = join(models)
@@ -168,6 +181,35 @@ def export(
             name: _collision(model, j) for j, name in enumerate(arm.joint_names)
         },
         notes=notes,
+    )
+
+
+def _export_drive(
+    drive: DriveFile, form: Format, path: Path, robot_path: Path, output_path: Path
+) -> ExportFile:
+    """Write an arm with the drives that were identified."""
+    if form.target not in ("mujoco", "mujoco-position"):
+        raise ConfigError(
+            f"a drive is not written as {form.title}",
+            where=str(path),
+            hint="Export it to MJCF (--target mujoco-position), or give the result of"
+            " seqid inertia for the arm alone.",
+        )
+    model = drive_model(drive, robot_path, path)
+    write_text_atomic(output_path, mjcf_with_drives(model, drive))
+    names = model.robot.joint_names
+    return ExportFile(
+        **head(EXPORT_SCHEMA, drive.created),
+        robot=robot_id(model.robot),
+        format=form.title,
+        path=str(output_path),
+        parameters=[FileId(path=str(path), sha256=file_sha256(path))],
+        stages=list(present(drive.stages)),
+        exact=model.nearest.exact,
+        largest_deviation=model.largest_deviation,
+        base_parameters=list(model.deviations),
+        joints={name: _link(model, j) for j, name in enumerate(names)},
+        notes=[*model.notes, *drive_notes(drive), f"{_UNCHECKED}: see seqid replay"],
     )
 
 

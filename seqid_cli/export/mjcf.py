@@ -16,7 +16,9 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.targets import position_gains
 from seqid_cli.export.text import real, rendered
+from seqid_cli.export.text import remarks as text_remarks
 from seqid_cli.model.bodies.pseudo_inertia import Body
+from seqid_cli.params.results.export import ExportedFriction
 from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array
 
@@ -27,7 +29,7 @@ _FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 def mjcf(model: ExportModel) -> str:
     """Return the arm as an MJCF document whose actuators take torques."""
     motor = '<motor name="NAME_motor" joint="NAME" />'
-    return _document(model, [motor] * model.robot.n)
+    return document(model, [motor] * model.robot.n)
 
 
 def mjcf_with_positions(model: ExportModel) -> str:
@@ -41,7 +43,7 @@ def mjcf_with_positions(model: ExportModel) -> str:
         f' kv="{real(kv)}" />'
         for kp, kv in zip(gains.stiffness, gains.damping, strict=True)
     ]
-    return _document(model, actuators)
+    return document(model, actuators)
 
 
 def mjcf_with_dc_motors(model: ExportModel) -> str:
@@ -56,7 +58,7 @@ def mjcf_with_dc_motors(model: ExportModel) -> str:
         of every joint, or the MuJoCo that is installed knows no `dcmotor`.
     """
     motors = [_dc_motor(joint, model) for joint in model.robot.joints]
-    text = _document(model, motors)
+    text = document(model, motors)
     try:
         import mujoco
     except ImportError:
@@ -96,10 +98,15 @@ def _dc_motor(joint: Joint, model: ExportModel) -> str:
     )
 
 
-def _document(
+def document(
     model: ExportModel,
     actuators: Sequence[str],
     *,
+    armature: Array | None = None,
+    friction: Sequence[ExportedFriction | None] | None = None,
+    lifted: Sequence[float] = (),
+    remarks: Sequence[str] = (),
+    hard_friction: bool = False,
     share: float = 0.01,
     min_length: float = 1e-3,
     thickness: float = 0.1,
@@ -112,6 +119,16 @@ def _document(
         The arm.
     actuators : sequence of str
         An element for each joint; NAME in it is that of the joint.
+    armature : (n,) array, optional
+        kg m^2, in place of the model's.
+    friction : sequence of ExportedFriction or None, optional
+        Likewise.
+    lifted : sequence of float
+        Share of the gravity of each body that its controllers compensate.
+    remarks : sequence of str
+        Beside those of the model.
+    hard_friction : bool
+        Whether friction is to be as hard as steps of 2 ms allow.
     share : float
         Share of the motor's armature that a link gets which plays; only relative
         acceleration feels it.
@@ -121,6 +138,13 @@ def _document(
         Of a drawn link, as a share of its length.
     """
     chain = model.robot.chain
+    own_content: dict[str, object] = {}
+    if armature is not None:
+        own_content["armature"] = armature
+    if friction is not None:
+        own_content["friction"] = friction
+    if remarks:
+        own_content["remarks"] = [*text_remarks(model), *remarks]
     to_next_joint = np.vstack([chain.position[1 : model.robot.n], np.zeros(3)])
     lengths = np.linalg.norm(to_next_joint, axis=1)
     return rendered(
@@ -136,6 +160,9 @@ def _document(
         gaps=np.where(model.armature > 0.0, model.gaps, 0.0),
         share=share,
         actuators=actuators,
+        lifted=lifted or np.zeros(model.robot.n),
+        hard_friction=hard_friction,
+        **own_content,
     )
 
 

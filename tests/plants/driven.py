@@ -23,6 +23,9 @@ from tests.plants.robots.stages import inertia_stage
 STEP_S = 2.5e-4
 GEAR = 50.0
 SPEEDS = (0.01, 3.0)  # rad/s, of the friction surfaces
+# Friction as hard as the solver makes it. By default it stops a joint over 20 ms, which
+# is a viscous friction below some 0.05 rad/s and no Coulomb's.
+HARD = 0.999
 # Axes across gravity and along it in turn, links of 0.3 m.
 DH = ((np.pi / 2, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0), (np.pi / 2, 0.3, 0.0, 0.0))
 
@@ -293,7 +296,8 @@ def _mjcf(arm: DrivenArm) -> str:
             f'<body pos="{_text(origin)}" quat="{_text(quaternion)}">'
             f'<inertial pos="{_text(com)}" mass="{mass}" fullinertia="{_text(full)}"/>'
             f'<joint axis="0 0 1" armature="{arm.armature[j]}"'
-            f' frictionloss="{arm.coulomb[j]}" damping="{arm.viscous[j]}"/>'
+            f' frictionloss="{arm.coulomb[j]}" damping="{arm.viscous[j]}"'
+            f' solreffriction="{2.0 * STEP_S} 1" solimpfriction="{HARD} {HARD} 1"/>'
         )
     return head + body + "</body>" * arm.robot.n + "</worldbody></mujoco>"
 

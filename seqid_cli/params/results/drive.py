@@ -19,7 +19,8 @@ class DriveParameter(Struct, kw_only=True):
     `state` is "identified"; "absent" where the logs show that the part is not there, to
     within the standard error; "not_shown" where they cannot tell, and the `reason` says
     what to record; "not_reached" for a limit of which `low` is the least that it can
-    be. `value` is null where nothing is known.
+    be. `value` is null where nothing is known; a value that is not shown is a guess
+    that goes with the others.
     """
 
     name: str
@@ -39,15 +40,23 @@ class JointDrive(Struct, kw_only=True):
     `command_known` whether the logs tell it. `left` is the share of the torque's RMS
     that the controller leaves, `rmse` the same in N m, `samples` those that were
     fitted, `offset` a constant torque [N m] beside the law, the mean of all logs.
+    Simulated in `windows` of the logs, positions of those that were held out were off
+    by `window_rms` [rad]; the first position and the change of the delayed command by
+    `window_guess`. Windows tell as well what the model of the arm lacks: `armature`,
+    `coulomb` (or `friction_factor` of the model's friction), `stribeck` and
+    `stribeck_speed`, `load_friction`, and the `dead_band` of the controller.
     """
 
     parameters: list[DriveParameter]
     command: str
     command_known: bool
-    left: float
-    rmse: float
+    left: float | None
+    rmse: float | None
     samples: int
     offset: float = 0.0
+    windows: int = 0
+    window_rms: float | None = None
+    window_guess: float | None = None
 
     def value(self, name: str) -> float:
         """Return a parameter's value, 0 where there is none."""

@@ -1,0 +1,354 @@
+"""The controller of one joint by whole windows, from where the fit by rows has come to.
+
+Windows begin with the state of the log. What rows cannot show counts there: friction at
+rest, an inertia that the model lacks, terms of `terms`. The fit by rows gives start and
+prior. Where it says little (no torque, a model without friction) many starts are
+simulated at once on a few windows, and the best ones are searched from.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seqid_cli.drive.equations import (
+    DERIVATIVE,
+    GRAVITY,
+    INTEGRAL,
+    PROPORTIONAL,
+    VELOCITY_FEEDFORWARD,
+)
+from seqid_cli.drive.fit import JointFit
+from seqid_cli.drive.rollouts.course import JointCourse
+from seqid_cli.drive.rollouts.errors import of_the_prior, std_errors
+from seqid_cli.drive.rollouts.loop import NAMES, JointLoop
+from seqid_cli.drive.rollouts.solver import Solved, errors_of, mean_squares, solved
+from seqid_cli.drive.rollouts.terms import (
+    Parts,
+    bounded_rms,
+    gains,
+    guess_rms,
+    with_terms,
+)
+from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
+from seqid_cli.typing import Array
+
+FEWEST_WINDOWS = 8
+STARTS = 64  # simulated at once
+SEARCHED = 2  # of them, the best ones
+FIRST_ROUNDS = 6  # of Gauss-Newton on these
+FEW_WINDOWS = 24  # on which starts are compared, and searched first
+GRAVITY_STD = 0.5  # of a share of gravity that a controller adds
+# Where nothing is known: the loop's bandwidth [Hz], damping, and friction as a share of
+# the torque that the usual error of the position asks for.
+USUAL_HZ = 3.0
+USUAL_DAMPING = 0.7
+USUAL_FRICTION = 0.3
+# Standard deviations of logarithms where nothing is known, and at least without torque.
+OPEN_STD = 1.0
+LEAST_STD = 0.3
+# Of the model's friction on another day.
+FRICTION_STD = 0.2
+# Of the delay, by the fit by rows without a torque [s], and where nothing is known.
+LEAST_DELAY_STD_S = 5e-3
+OPEN_DELAY_S = 0.03
+DELAY_STEP_S = 1e-3  # by which derivatives are taken
+OFFSET_STEP = 1e-3  # N m
+# Standard deviations of the prior, from which on a number is none that can be.
+PLAUSIBLE = 3.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowFit:
+    """The numbers of a joint by windows.
+
+    Attributes
+    ----------
+    values, std_errors : dict of str to float
+        Of `loop.LoopValues`, of what was searched.
+    open : tuple of str
+        What is the prior's and not the data's.
+    terms : tuple of str
+        Optional terms that were kept.
+    rms : float
+        rad, of windows that were held out; see `terms.bounded_rms`.
+    rms_by_rows : float
+        rad, of the same windows by the fit by rows; infinite where it had none.
+    rms_of_guess : float
+        rad, of the same windows: first position and change of the delayed command.
+    windows : int
+    solution : Solved
+        While windows were held out.
+    """
+
+    values: dict[str, float]
+    std_errors: dict[str, float]
+    open: tuple[str, ...]
+    terms: tuple[str, ...]
+    rms: float
+    rms_by_rows: float
+    rms_of_guess: float
+    windows: int
+    solution: Solved
+    unknowns: Unknowns
+    parts: Parts
+
+
+def fit_windows(
+    loops: Sequence[JointLoop],
+    by_rows: JointFit | None,
+    *,
+    measured: bool,
+    nominal: bool,
+) -> WindowFit | None:
+    """Fit a joint by windows; None where too few are there.
+
+    Parameters
+    ----------
+    loops : sequence of JointLoop
+    by_rows : JointFit, optional
+        None where it explains too little to begin with.
+    measured : bool
+        Whether it explained a measured torque: its gains then stay as they are.
+    nominal : bool
+        Whether the model is that of the URDF: without rotors and friction.
+    """
+    if sum(loop.course.windows for loop in loops) < FEWEST_WINDOWS:
+        return None
+    parts = Parts.of(loops)
+    if not parts.held_out:
+        return None
+    if nominal and not measured:
+        # Rows without friction and rotor give gains of something else.
+        by_rows = None
+    unknowns = first_unknowns(loops, by_rows, measured=measured, nominal=nominal)
+    rms_by_rows = np.inf
+    if by_rows is None:
+        unknowns, start = _with_structure(parts, unknowns)
+    else:
+        start = solved(parts.fitted, unknowns, unknowns.mean)
+        rms_by_rows = bounded_rms(parts.judged(unknowns, unknowns.mean))
+    coulomb = _friction_size(unknowns, start.theta, loops)
+    unknowns, base, terms = with_terms(parts, unknowns, start, coulomb)
+    return _finished(loops, parts, unknowns, base, terms, rms_by_rows)
+
+
+def refitted(
+    fit: WindowFit, loops: Sequence[JointLoop], means: Mapping[str, tuple[float, float]]
+) -> WindowFit:
+    """Return a fit with priors of other servos, where held-out windows do not lose."""
+    unknowns = fit.unknowns.centred(means)
+    solution = solved(fit.parts.fitted, unknowns, unknowns.mean)
+    before = fit.parts.judged(fit.unknowns, fit.solution.theta)
+    after = fit.parts.judged(unknowns, solution.theta)
+    if gains(after, before):
+        return fit
+    return _finished(
+        loops, fit.parts, unknowns, solution, list(fit.terms), fit.rms_by_rows
+    )
+
+
+def _finished(
+    loops: Sequence[JointLoop],
+    parts: Parts,
+    unknowns: Unknowns,
+    base: Solved,
+    terms: Sequence[str],
+    rms_by_rows: float,
+) -> WindowFit:
+    """Fit all windows once more, and describe the result."""
+    rms = bounded_rms(parts.judged(unknowns, base.theta))
+    whole = solved(loops, unknowns, base.theta)
+    errors = std_errors(loops, unknowns, whole)
+    is_far = _distance(unknowns, whole.theta) > PLAUSIBLE
+    open_numbers = of_the_prior(unknowns, whole) | is_far
+    natural = unknowns.natural(whole.theta[None])[0]
+    values = dict(zip(unknowns.names, natural.tolist(), strict=True))
+    scale = np.array([each.positive for each in unknowns.searched])
+    stated = np.where(scale, natural * errors, errors)
+    return WindowFit(
+        values=values,
+        std_errors=dict(zip(unknowns.names, stated.tolist(), strict=True)),
+        open=tuple(
+            name
+            for name, is_open in zip(unknowns.names, open_numbers, strict=True)
+            if is_open
+        ),
+        terms=tuple(terms),
+        rms=rms,
+        rms_by_rows=rms_by_rows,
+        rms_of_guess=guess_rms(parts.held_out),
+        windows=sum(loop.course.windows for loop in loops),
+        solution=base,
+        unknowns=unknowns,
+        parts=parts,
+    )
+
+
+def first_unknowns(
+    loops: Sequence[JointLoop],
+    by_rows: JointFit | None,
+    *,
+    measured: bool,
+    nominal: bool,
+) -> Unknowns:
+    """Return what is searched, with what is known of it before."""
+    fixed: dict[str, float] = {}
+    searched = []
+    if by_rows is None:
+        searched += _unknown_gains(loops[0].course)
+    elif measured:
+        # A torque tells them better than positions do.
+        fixed = {name: by_rows.values[name] for name in by_rows.names if name in NAMES}
+        fixed["command_delay"] = by_rows.values["command_delay"]
+    else:
+        searched += _known_gains(by_rows)
+    gain = fixed.get(PROPORTIONAL) or searched[0].start
+    course = loops[0].course
+    error = _usual_error(course)
+    torque = gain * error
+    offset = 0.0 if by_rows is None else by_rows.offset
+    searched.append(
+        Unknown(
+            name="offset",
+            start=offset,
+            std=max(torque, 1e-6),
+            positive=False,
+            step=OFFSET_STEP * max(torque, 1e-6),
+        )
+    )
+    if nominal:
+        searched.append(_open("armature", _usual_inertia(course)))
+    if loops[0].friction is None:
+        searched.append(_open("coulomb", max(USUAL_FRICTION * torque, 1e-9)))
+    else:
+        searched.append(Unknown(name="friction_factor", start=1.0, std=FRICTION_STD))
+    return Unknowns(searched=searched, fixed=fixed)
+
+
+def _open(name: str, start: float) -> Unknown:
+    return Unknown(name=name, start=start, std=OPEN_STD)
+
+
+def _usual_inertia(course: JointCourse) -> float:
+    """Return an inertia [kg m^2] that a joint may have: links are light, rotors not."""
+    return max(float(course.inertia.mean()), 1e-2)
+
+
+def _usual_error(course: JointCourse) -> float:
+    """Return the RMS of command less position [rad]."""
+    error = course.command(0.0) - course.along
+    return max(float(np.sqrt(np.mean(error**2))), 1e-6)
+
+
+def _unknown_gains(course: JointCourse) -> list[Unknown]:
+    """Return gains and delay where the fit by rows says nothing."""
+    inertia = float(course.inertia.mean()) + _usual_inertia(course)
+    rate = 2.0 * np.pi * USUAL_HZ
+    gain = inertia * rate**2
+    return [
+        _open(PROPORTIONAL, gain),
+        replace(_open(DERIVATIVE, 2.0 * USUAL_DAMPING * inertia * rate), std=1.5),
+        Unknown(
+            name="command_delay",
+            start=OPEN_DELAY_S,
+            std=OPEN_DELAY_S,
+            positive=False,
+            step=DELAY_STEP_S,
+        ),
+    ]
+
+
+def _known_gains(by_rows: JointFit) -> list[Unknown]:
+    """Return gains and delay as the fit by rows has them, without a torque."""
+    least = LEAST_STD
+    unknowns = []
+    for name in (PROPORTIONAL, DERIVATIVE, VELOCITY_FEEDFORWARD, INTEGRAL):
+        value = by_rows.values.get(name, 0.0)
+        if name not in by_rows.names or not value > 0.0:
+            continue
+        share = by_rows.std_errors[name] / value
+        unknowns.append(Unknown(name=name, start=value, std=max(share, least)))
+    if GRAVITY in by_rows.names:
+        unknowns.append(
+            Unknown(
+                name=GRAVITY,
+                start=by_rows.values[GRAVITY],
+                std=max(by_rows.std_errors[GRAVITY], least),
+                positive=False,
+            )
+        )
+    delay_std = max(by_rows.std_errors["command_delay"], LEAST_DELAY_STD_S)
+    unknowns.append(
+        Unknown(
+            name="command_delay",
+            start=by_rows.values["command_delay"],
+            std=delay_std,
+            positive=False,
+            step=DELAY_STEP_S,
+        )
+    )
+    return unknowns
+
+
+def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Solved]:
+    """Find numbers where nothing is known, and which parts the controller has.
+
+    A part more is one that held-out windows gain by, or one that brings numbers back to
+    where they can be: gravity that a controller compensates shows no scale, and without
+    that part a search makes the joint as heavy as it takes to hide gravity.
+    """
+    best = unknowns
+    solution = _best_of(parts.fitted, unknowns)
+    judged = parts.judged(unknowns, solution.theta)
+    damping = next(each for each in unknowns.searched if each.name == DERIVATIVE)
+    speed = replace(damping, name=VELOCITY_FEEDFORWARD)
+    gravity = Unknown(name=GRAVITY, start=1.0, std=GRAVITY_STD, positive=False)
+    for more in ([speed], [gravity], [speed, gravity]):
+        wider = unknowns.with_more(more)
+        other = _best_of(parts.fitted, wider)
+        after = parts.judged(wider, other.theta)
+        is_needed = not _is_plausible(best, solution) and _is_plausible(wider, other)
+        if gains(judged, after) or (is_needed and not gains(after, judged)):
+            best, solution, judged = wider, other, after
+    return best, solution
+
+
+def _distance(unknowns: Unknowns, theta: Array) -> Array:
+    """Return how far numbers (p,) are from their prior, in standard deviations."""
+    return np.asarray(np.abs(theta - unknowns.mean) / unknowns.std)
+
+
+def _is_plausible(unknowns: Unknowns, solution: Solved) -> bool:
+    return bool(_distance(unknowns, solution.theta).max() < PLAUSIBLE)
+
+
+def _best_of(loops: Sequence[JointLoop], unknowns: Unknowns) -> Solved:
+    """Search from the best of many starts."""
+    rng = np.random.default_rng(0)
+    spread = unknowns.std * rng.standard_normal((STARTS, len(unknowns.mean)))
+    spread[0] = 0.0
+    draws = unknowns.mean + spread
+    few = []
+    for loop in loops:
+        count = loop.course.windows
+        stride = max(1, count // FEW_WINDOWS)
+        few.append(replace(loop, course=loop.course.of(np.arange(0, count, stride))))
+    squares = mean_squares(errors_of(few, unknowns, draws))
+    # Means of RMS and not of squares: a wild window does not decide.
+    order = np.argsort(np.mean(np.sqrt(squares), axis=1))[:SEARCHED]
+    on_few = [solved(few, unknowns, draws[int(k)], rounds=FIRST_ROUNDS) for k in order]
+    best = min(on_few, key=lambda each: float(np.median(each.by_window)))
+    return solved(loops, unknowns, best.theta)
+
+
+def _friction_size(
+    unknowns: Unknowns, theta: Array, loops: Sequence[JointLoop]
+) -> float:
+    """Return the size of a joint's friction [N m], about."""
+    natural = dict(zip(unknowns.names, unknowns.natural(theta[None])[0], strict=True))
+    if "coulomb" in natural:
+        return float(natural["coulomb"])
+    friction = loops[0].friction
+    assert friction is not None
+    return max(float(np.abs(friction.forward[:, 0]).mean()), 1e-6)

@@ -1,0 +1,195 @@
+"""Gauss-Newton over windows of a simulated joint, with a prior.
+
+The cost of unknowns theta is
+
+    sum_w weight_w sum_r (q_sim - q)^2 / (rho sigma^2)
+        + sum_k ((theta_k - mean_k) / std_k)^2
+
+over windows w and rows r. Neighbouring rows are off alike, so that rho of them count as
+one. sigma is what is left at the moment. A window that is off much more than others (a
+touch, a cable) counts less. Several lengths of a step are simulated at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.drive.rollouts.loop import JointLoop
+from seqid_cli.drive.rollouts.unknowns import Unknowns
+from seqid_cli.typing import Array
+
+ROUNDS = 12
+ENOUGH = 1e-4  # share by which the cost falls in the last round
+DAMPINGS = np.array([0.0, 1e-2, 1e-1, 1.0, 10.0, 100.0])
+# Rows are off alike over so long [s].
+ALIKE_S = 0.1
+# Of the median of windows, from which on a window counts less.
+USUAL = 3.0
+ROWS_PER_S = 50.0  # others repeat them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """What Gauss-Newton found.
+
+    Attributes
+    ----------
+    theta : (p,) array
+        What is searched.
+    errors : (W, R) list of arrays
+        rad, simulated less measured, by window.
+    jacobian : (W, R, p) list of arrays
+    weights : (W,) array
+    scale : (rates,) array
+        rad^2, rho sigma^2.
+    cost : float
+        With the prior.
+    rms : float
+        rad, of all windows.
+    """
+
+    theta: Array
+    errors: list[Array]
+    jacobian: list[Array]
+    weights: Array
+    scale: Array
+    cost: float
+    rms: float
+
+    @property
+    def by_window(self) -> Array:
+        """Mean squares (W,) [rad^2] of the windows."""
+        return mean_squares(self.errors)
+
+
+def mean_squares(errors: Sequence[Array]) -> Array:
+    """Return the mean squares (..., W) of errors (..., R, W) of each rate."""
+    return np.concatenate(
+        [np.mean(each[..., 1:, :] ** 2, axis=-2) for each in errors], axis=-1
+    )
+
+
+def errors_of(
+    loops: Sequence[JointLoop], unknowns: Unknowns, theta: Array
+) -> list[Array]:
+    """Return simulated less measured positions (S, R, B) of each rate [rad]."""
+    values = unknowns.values(theta)
+    results = []
+    for loop in loops:
+        course = loop.course
+        stride = max(1, int(1.0 / (course.row_s * ROWS_PER_S)))
+        off = loop.run(values) - course.q
+        results.append(off[:, ::stride])
+    return results
+
+
+def solved(
+    loops: Sequence[JointLoop],
+    unknowns: Unknowns,
+    theta: Array,
+    *,
+    rounds: int = ROUNDS,
+) -> Solved:
+    """Search from some values (p,)."""
+    mean = unknowns.mean
+    information = unknowns.std**-2.0
+    steps = unknowns.steps
+    p = len(theta)
+    current = errors_of(loops, unknowns, theta[None])
+    for _ in range(rounds):
+        squares = mean_squares(current)[0]
+        weights = window_weights(squares)
+        scale = _scale(loops, current, weights)
+
+        moved = theta + np.vstack([np.diag(steps), -np.diag(steps)])
+        sides = errors_of(loops, unknowns, moved)
+        jacobians = [
+            (each[:p] - each[p:]) / (2.0 * steps)[:, None, None] for each in sides
+        ]
+        H, g = _normal(jacobians, current, weights, scale)
+        g = g + information * (theta - mean)
+        H = H + np.diag(information)
+        diagonal = np.diag(np.diag(H))
+        candidates = np.stack(
+            [theta - np.linalg.solve(H + d * diagonal, g) for d in DAMPINGS]
+        )
+        tried = errors_of(loops, unknowns, candidates)
+        costs = _costs(tried, candidates, weights, scale, mean, information)
+        before = _costs(current, theta[None], weights, scale, mean, information)[0]
+        best = int(np.argmin(costs))
+        if not costs[best] < before:
+            break
+        theta = candidates[best]
+        current = [each[best : best + 1] for each in tried]
+        if before - costs[best] < ENOUGH * before:
+            break
+    squares = mean_squares(current)[0]
+    weights = window_weights(squares)
+    scale = _scale(loops, current, weights)
+    cost = _costs(current, theta[None], weights, scale, mean, information)[0]
+    return Solved(
+        theta=theta,
+        errors=[each[0] for each in current],
+        jacobian=jacobians,
+        weights=weights,
+        scale=scale,
+        cost=float(cost),
+        rms=float(np.sqrt(np.mean(squares))),
+    )
+
+
+def window_weights(squares: Array) -> Array:
+    """Return weights (W,) of windows by their mean squares."""
+    limit = USUAL**2 * float(np.median(squares)) + 1e-300
+    return np.asarray(np.minimum(1.0, limit / np.maximum(squares, 1e-300)))
+
+
+def _scale(
+    loops: Sequence[JointLoop], errors: Sequence[Array], weights: Array
+) -> Array:
+    """Return rho sigma^2 of each rate [rad^2]."""
+    squares = mean_squares(errors)[0]
+    mean = float(np.average(squares, weights=weights)) + 1e-18
+    scales = []
+    for loop, each in zip(loops, errors, strict=True):
+        rho = max(1.0, ALIKE_S * (each.shape[-2] - 1) / loop.course.seconds)
+        scales.append(rho * mean)
+    return np.array(scales)
+
+
+def _normal(
+    jacobians: Sequence[Array], errors: Sequence[Array], weights: Array, scale: Array
+) -> tuple[Array, Array]:
+    p = len(jacobians[0])
+    H = np.zeros((p, p))
+    g = np.zeros(p)
+    first = 0
+    for jacobian, off, rho in zip(jacobians, errors, scale, strict=True):
+        count = off.shape[-1]
+        w = weights[first : first + count] / rho
+        first += count
+        J = jacobian.reshape(p, -1)
+        weighted = (jacobian * w).reshape(p, -1)
+        H += weighted @ J.T
+        g += weighted @ off[0].ravel()
+    return H, g
+
+
+def _costs(
+    errors: Sequence[Array],
+    theta: Array,
+    weights: Array,
+    scale: Array,
+    mean: Array,
+    information: Array,
+) -> Array:
+    """Return the costs (S,) of sets of unknowns (S, p)."""
+    total = np.sum(information * (theta - mean) ** 2, axis=1)
+    first = 0
+    for off, rho in zip(errors, scale, strict=True):
+        count = off.shape[-1]
+        w = weights[first : first + count] / rho
+        first += count
+        total = total + np.einsum("srb,b->s", off**2, w)
+    return np.asarray(total)

@@ -1,0 +1,154 @@
+"""Terms that a joint may need beside gains, delay and Coulomb friction, one at a time.
+
+Every fourth window is held out. A term is kept where those windows gain by it: their
+mean square falls by a share that matters and by more than it scatters. What a window
+counts is bounded, so that a touch does not decide.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seqid_cli.drive.rollouts.loop import JointLoop
+from seqid_cli.drive.rollouts.solver import (
+    USUAL,
+    Solved,
+    errors_of,
+    mean_squares,
+    solved,
+)
+from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
+from seqid_cli.typing import Array
+
+STRIBECK = "stribeck"
+LOAD = "load_friction"
+DEAD_BAND = "dead_band"
+HELD_OUT = 4  # every so many windows one
+# Delays that are tried for the guess [s].
+LONGEST_GUESS_S = 0.3
+GUESS_STEP_S = 0.01
+# Of the mean square of held-out windows, by which a term lessens it.
+LEAST_GAIN = 0.02
+# Times its standard error over the windows.
+GAIN_SIGMA = 2.0
+
+
+def optional_terms(coulomb: float) -> Mapping[str, Sequence[Unknown]]:
+    """Return what may be added, by name.
+
+    Parameters
+    ----------
+    coulomb : float
+        N m, the joint's Coulomb friction: where a search begins.
+    """
+    return {
+        STRIBECK: [
+            Unknown(name=STRIBECK, start=0.3 * coulomb, std=1.0),
+            Unknown(name="stribeck_speed", start=0.05, std=1.0),
+        ],
+        LOAD: [Unknown(name=LOAD, start=0.1, std=1.0)],
+        DEAD_BAND: [Unknown(name=DEAD_BAND, start=4e-3, std=1.0)],
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """The windows of a joint: those that are fitted, and those that judge."""
+
+    fitted: Sequence[JointLoop]
+    held_out: Sequence[JointLoop]
+
+    @classmethod
+    def of(cls, loops: Sequence[JointLoop]) -> "Parts":
+        """Hold every fourth window out."""
+        fitted = []
+        held_out = []
+        for loop in loops:
+            numbers = np.arange(loop.course.windows)
+            judges = numbers % HELD_OUT == HELD_OUT - 1
+            fitted.append(_some(loop, numbers[~judges]))
+            if judges.any():
+                held_out.append(_some(loop, numbers[judges]))
+        return cls(fitted=fitted, held_out=held_out)
+
+    def judged(self, unknowns: Unknowns, theta: Array) -> Array:
+        """Return mean squares (W,) [rad^2] of the held-out windows."""
+        errors = errors_of(self.held_out, unknowns, theta[None])
+        return np.asarray(mean_squares(errors)[0])
+
+
+def _some(loop: JointLoop, numbers: Array) -> JointLoop:
+    return replace(loop, course=loop.course.of(np.asarray(numbers, np.intp)))
+
+
+def bounded_rms(squares: Array) -> float:
+    """Return the RMS of windows of mean squares (W,), of which none counts too much."""
+    limit = USUAL**2 * float(np.median(squares))
+    return float(np.sqrt(np.mean(np.minimum(squares, limit))))
+
+
+def guess_rms(loops: Sequence[JointLoop]) -> float:
+    """Return the RMS [rad] of a guess that needs no model, at the delay it likes best.
+
+    It is the first position and the change of the delayed command since then.
+    """
+    results = []
+    for delay_s in np.arange(0.0, LONGEST_GUESS_S, GUESS_STEP_S):
+        squares = []
+        for loop in loops:
+            course = loop.course
+            command = course.command(float(delay_s))[:: course.per_row]
+            guess = course.q0 + command - command[0]
+            squares.append(np.mean((guess - course.q[: len(guess)]) ** 2, axis=0))
+        results.append(bounded_rms(np.concatenate(squares)))
+    return min(results)
+
+
+def gains(before: Array, after: Array) -> bool:
+    """Tell whether held-out windows (W,) [rad^2] are better off than before."""
+    limit = USUAL**2 * float(np.median(before))
+    was = np.minimum(before, limit)
+    gain = was - np.minimum(after, limit)
+    scatter = float(gain.std()) / np.sqrt(max(1, len(gain)))
+    mean = float(gain.mean())
+    return mean > GAIN_SIGMA * scatter and mean > LEAST_GAIN * float(was.mean())
+
+
+def with_terms(
+    parts: Parts, unknowns: Unknowns, base: Solved, coulomb: float
+) -> tuple[Unknowns, Solved, list[str]]:
+    """Add the terms by which held-out windows gain, the best one first.
+
+    Returns
+    -------
+    Unknowns, Solved
+        With the terms that are kept, solved on the windows that are fitted.
+    list of str
+        Names of the terms.
+    """
+    left = dict(optional_terms(coulomb))
+    kept: list[str] = []
+    judged = parts.judged(unknowns, base.theta)
+    while left:
+        tried = {}
+        for name, more in left.items():
+            wider = unknowns.with_more(more)
+            start = np.append(base.theta, [each.mean for each in more])
+            solution = solved(parts.fitted, wider, start)
+            after = parts.judged(wider, solution.theta)
+            if gains(judged, after):
+                tried[name] = (wider, solution, after)
+        if not tried:
+            break
+        limit = USUAL**2 * float(np.median(judged))
+        left_over = {
+            name: float(np.minimum(after, limit).mean())
+            for name, (_, _, after) in tried.items()
+        }
+        best = min(left_over, key=lambda name: left_over[name])
+        unknowns, base, judged = tried[best]
+        kept.append(best)
+        # What gained nothing now is not tried again: terms share what they explain.
+        left = {name: left[name] for name in tried if name != best}
+    return unknowns, base, kept

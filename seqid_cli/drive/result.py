@@ -15,8 +15,8 @@ from seqid_cli.drive.equations import (
     UNITS,
     VELOCITY_FEEDFORWARD,
 )
-from seqid_cli.drive.fit import JointFit
 from seqid_cli.drive.rollouts.fit import WindowFit
+from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveSettings, DriveVerdictSettings
 from seqid_cli.drive.signals import DriveSignals
 from seqid_cli.identify.inputs import Inputs
@@ -390,10 +390,24 @@ def _verdict(name: str, described: _Described, limits: DriveVerdictSettings) -> 
             joint=name, good=False, level="usable", reason=f"{PROPORTIONAL}: {NO_SCALE}"
         )
     error = windows.std_errors[PROPORTIONAL] / windows.values[PROPORTIONAL]
-    if share > limits.good_windows or error > MAX_ERROR:
+    if not are_good(share, error, limits):
         reason = f"{beside}; the proportional gain is known to {percent(error)}"
         return Verdict(joint=name, good=False, level="usable", reason=reason)
     return Verdict(joint=name, good=True)
+
+
+def are_good(share: float, error: float, limits: DriveVerdictSettings) -> bool:
+    """Tell whether windows are followed well by gains that are known.
+
+    Parameters
+    ----------
+    share : float
+        Of the error of a guess without a model.
+    error : float
+        Of the proportional gain, relative.
+    limits : DriveVerdictSettings
+    """
+    return share <= limits.good_windows and error <= MAX_ERROR
 
 
 def verdict_of_joint(name: str, fit: JointFit, limits: DriveVerdictSettings) -> Verdict:

@@ -22,12 +22,12 @@ class TermSettings(Group):
 class WindowSettings(Group):
     """Windows of the logs in which the closed loop of each joint is simulated."""
 
-    most: int = setting(
-        240,
+    most: float = setting(
+        240.0,
         unit="windows",
         reason="of each joint, taken evenly; 0 leaves the fit by rows alone",
-        low=0,
-        high=100_000,
+        low=0.0,
+        high=1e5,
     )
     length_s: float = setting(
         1.0,

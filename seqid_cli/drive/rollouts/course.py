@@ -295,14 +295,10 @@ def courses_of(
     by_rows: dict[int, list[Place]] = {}
     for number, motion in enumerate(motions):
         log = motion.log
-        rows = round(window_s * log.rate_hz)
         usable = log.usable[:, joint]
-        for start, stop in runs(usable, len(usable)):
-            places = by_rows.setdefault(rows, [])
-            places += [
-                Place(log=number, start=first, stop=first + rows + 1)
-                for first in range(start, stop - rows, rows)
-            ]
+        cuts = cut(usable, log.rate_hz, window_s)
+        places = by_rows.setdefault(round(window_s * log.rate_hz), [])
+        places += [Place(log=number, start=start, stop=stop) for start, stop in cuts]
     total = sum(len(places) for places in by_rows.values())
     results = []
     for places in by_rows.values():
@@ -310,6 +306,16 @@ def courses_of(
         if chosen:
             results.append(_course(motions, joint, course, chosen))
     return results
+
+
+def cut(usable: Mask, rate_hz: float, window_s: float) -> list[tuple[int, int]]:
+    """Return the rows [start, stop) of windows in which all samples are usable."""
+    rows = round(window_s * rate_hz)
+    return [
+        (first, first + rows + 1)
+        for start, stop in runs(usable, len(usable))
+        for first in range(start, stop - rows, rows)
+    ]
 
 
 def _telling(
@@ -327,12 +333,12 @@ def _telling(
     if not len(change):
         return []
     moves = change > HOLD_SHARE * np.quantile(change, 0.9)
-    moving = _evenly(np.flatnonzero(moves), most)
-    held = _evenly(np.flatnonzero(~moves), round(HOLDS_KEPT * len(moving)))
+    moving = evenly(np.flatnonzero(moves), most)
+    held = evenly(np.flatnonzero(~moves), round(HOLDS_KEPT * len(moving)))
     return [places[int(k)] for k in np.sort(np.concatenate([moving, held]))]
 
 
-def _evenly(numbers: Rows, most: int) -> Rows:
+def evenly(numbers: Rows, most: int) -> Rows:
     """Return so many of some numbers at most, evenly."""
     if len(numbers) <= most:
         return numbers

@@ -17,7 +17,7 @@ from seqid_cli.drive.rollouts.solver import Solved, errors_of
 from seqid_cli.drive.rollouts.unknowns import Unknowns
 from seqid_cli.typing import Array, Mask
 
-# Commands and rows may be late against each other by this [s]; see `fit.LATE_S`.
+# Commands and rows may be late against each other by this [s]; see `row_errors`.
 LATE_S = 1e-4
 # A number is the prior's whose error grows so much where the prior is so much wider.
 WIDER = 3.0

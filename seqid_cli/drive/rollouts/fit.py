@@ -18,7 +18,6 @@ from seqid_cli.drive.equations import (
     PROPORTIONAL,
     VELOCITY_FEEDFORWARD,
 )
-from seqid_cli.drive.fit import JointFit
 from seqid_cli.drive.rollouts.course import JointCourse
 from seqid_cli.drive.rollouts.errors import of_the_prior, std_errors
 from seqid_cli.drive.rollouts.loop import NAMES, JointLoop
@@ -31,6 +30,7 @@ from seqid_cli.drive.rollouts.terms import (
     with_terms,
 )
 from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
+from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.typing import Array
 
 FEWEST_WINDOWS = 8

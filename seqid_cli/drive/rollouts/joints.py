@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.drive.equations import DERIVATIVE, PROPORTIONAL
-from seqid_cli.drive.fit import JointFit
 from seqid_cli.drive.friction_table import FrictionTable, table_for
 from seqid_cli.drive.rollouts.course import arm_motion, courses_of
 from seqid_cli.drive.rollouts.fit import WindowFit, fit_windows, refitted
 from seqid_cli.drive.rollouts.loop import JointLoop
+from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveSettings
 from seqid_cli.drive.signals import DriveSignals
 from seqid_cli.model.torque import TorqueModel
@@ -69,7 +69,7 @@ def fit_all_windows(
                 joint,
                 course,
                 window_s=settings.windows.length_s,
-                most=settings.windows.most,
+                most=int(settings.windows.most),
             )
         ]
         result = fit_windows(

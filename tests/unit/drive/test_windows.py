@@ -177,7 +177,7 @@ def test_a_measured_torque_tells_the_gains() -> None:
         [recorded()],
         arm().robot,
         file_of(arm()),
-        settings=DriveSettings(windows=WindowSettings(most=0)),
+        settings=DriveSettings(windows=WindowSettings(most=0.0)),
     )
     file = drives.drive([recorded()], arm().robot, file_of(arm()))
     assert number(file, "proportional") == number(by_rows, "proportional")

@@ -49,7 +49,7 @@ def drive_file(folder: Path, robot_file: Path) -> tuple[Path, DriveFile]:
         [log()],
         robot,
         structs.replace(file_of(driven()), robot=robot_id(robot)),
-        settings=DriveSettings(windows=WindowSettings(most=0)),
+        settings=DriveSettings(windows=WindowSettings(most=0.0)),
     )
     path = folder / "drive.json"
     path.write_text(encode(file))

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from seqid_cli.drive.equations import PROPORTIONAL, Delays
-from seqid_cli.drive.fit import JointFit, is_part
-from seqid_cli.drive.result import verdict_of_joint
+from seqid_cli.drive.fit import is_part
+from seqid_cli.drive.result import are_good, verdict_of_joint
+from seqid_cli.drive.rollouts.course import cut, evenly
+from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveVerdictSettings, TermSettings
 from seqid_cli.params.schema import Verdict
 from tests.unit.thresholds.witness import Witness
@@ -60,6 +63,31 @@ WITNESSES = (
         beyond=0.33,
         within=0.27,
         is_flagged=lambda group, left: verdict(group, left).level == "poor",
+    ),
+    Witness(
+        command="drive",
+        setting="verdict.good_windows",
+        beyond=0.55,
+        within=0.45,
+        is_flagged=lambda group, share: not are_good(share, 0.01, group),
+    ),
+    Witness(
+        command="drive",
+        setting="windows.most",
+        beyond=250,
+        within=230,
+        is_flagged=lambda group, count: (
+            len(evenly(np.arange(count), int(group.most))) < count
+        ),
+    ),
+    Witness(
+        command="drive",
+        setting="windows.length_s",
+        beyond=0.9,
+        within=1.2,
+        is_flagged=lambda group, seconds: (
+            not cut(np.ones(round(100.0 * seconds), np.bool_), 100.0, group.length_s)
+        ),
     ),
 )
 

@@ -57,8 +57,8 @@ WINDOW_UNITS: Mapping[str, str] = {
 SCALED = (PROPORTIONAL, DERIVATIVE, INTEGRAL, "armature", "coulomb", "stribeck")
 TOO_FEW = "too few samples in which it follows its command: record more motion"
 NO_SCALE = (
-    "without a torque only its ratio to gravity or inertia shows, and neither is known"
-    " here: log a torque, give rotor_inertia, or move the joint against gravity"
+    "without a torque only its ratio to gravity and inertia shows, and these are the"
+    " URDF's or a guess: log a torque, or give an identified model"
 )
 PRIOR_ALONE = "these logs add little to the guess: record larger and faster motion"
 VISCOUS_TOO = (
@@ -132,6 +132,7 @@ def drive_file(
             windows=windows,
             slides=arm.inputs.robot.joints[j].prismatic,
             measured=arm.logs[0].measured,
+            nominal=arm.nominal,
             course=next(iter(arm.logs[0].commands)),
         )
         joints[name] = described.joint()
@@ -166,6 +167,7 @@ class _Described:
     windows: WindowFit | None
     slides: bool
     measured: bool
+    nominal: bool
     course: str
 
     def joint(self) -> JointDrive:
@@ -236,7 +238,8 @@ class _Described:
             parameter = _identified(
                 name, value, fit.std_errors[name], self.unit(name), reason
             )
-            if name in fit.open:
+            has_no_scale = self.nominal and not self.measured and name in SCALED
+            if name in fit.open or has_no_scale:
                 parameter.state = "not_shown"
                 parameter.reason = NO_SCALE if name in SCALED else PRIOR_ALONE
             by_name[name] = parameter
@@ -385,7 +388,8 @@ def _verdict(name: str, described: _Described, limits: DriveVerdictSettings) -> 
     )
     if share >= 1.0:
         return Verdict(joint=name, good=False, reason=beside)
-    if PROPORTIONAL in windows.open:
+    has_no_scale = described.nominal and not described.measured
+    if PROPORTIONAL in windows.open or has_no_scale:
         return Verdict(
             joint=name, good=False, level="usable", reason=f"{PROPORTIONAL}: {NO_SCALE}"
         )

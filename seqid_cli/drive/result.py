@@ -226,6 +226,18 @@ class _Described:
     ) -> list[DriveParameter]:
         """Put what windows tell in the place of what rows tell."""
         by_name = {parameter.name: parameter for parameter in parameters}
+        if PROPORTIONAL in fit.values:
+            # What rows took for a part belongs to a law of other gains.
+            for name in PARTS:
+                if by_name[name].state == "identified" and name not in fit.values:
+                    by_name[name] = DriveParameter(
+                        name=name,
+                        value=None,
+                        std_error=None,
+                        unit=self.unit(name),
+                        state="not_shown",
+                        reason=f"held-out windows gain nothing by it: {RECORD[name]}",
+                    )
         for name, value in fit.values.items():
             if name == "offset":
                 continue

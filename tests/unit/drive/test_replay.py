@@ -161,6 +161,14 @@ def test_a_joint_that_friction_holds_stays_where_it_is() -> None:
         gravity=np.ones(2),
         offset=0.9 * drawn.coulomb,
         torque_limit=np.full(2, np.inf),
+        velocity_limit=np.full(2, np.inf),
+        dead_band=nothing,
+        armature=nothing,
+        coulomb=nothing,
+        friction_factor=np.ones(2),
+        stribeck=nothing,
+        stribeck_speed=np.ones(2),
+        load_friction=nothing,
     )
     tables = [FrictionTable.of(s, -3.0, 3.0, 3.0) for s in model.surfaces]
     steps = np.zeros((200, 1, 2))

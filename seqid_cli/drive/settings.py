@@ -29,13 +29,6 @@ class WindowSettings(Group):
         low=0.0,
         high=1e5,
     )
-    length_s: float = setting(
-        1.0,
-        unit="s",
-        reason="of a window: long against a loop, so that errors show",
-        low=0.1,
-        high=60.0,
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,8 @@ from seqid_cli.drive.settings import DriveSettings
 from seqid_cli.drive.signals import DriveSignals
 from seqid_cli.model.torque import TorqueModel
 
+# Of a window: long against a loop, so that errors show.
+WINDOW_S = 1.0
 # What servos of one type share.
 SHARED = (PROPORTIONAL, DERIVATIVE, "coulomb", "armature")
 # Servos of one type differ by so much at least: the standard deviation of a logarithm.
@@ -68,7 +70,7 @@ def fit_all_windows(
                 motions,
                 joint,
                 course,
-                window_s=settings.windows.length_s,
+                window_s=WINDOW_S,
                 most=int(settings.windows.most),
             )
         ]

@@ -8,7 +8,7 @@ import pytest
 from seqid_cli.drive.equations import PROPORTIONAL, Delays
 from seqid_cli.drive.fit import is_part
 from seqid_cli.drive.result import are_good, verdict_of_joint
-from seqid_cli.drive.rollouts.course import cut, evenly
+from seqid_cli.drive.rollouts.course import evenly
 from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveVerdictSettings, TermSettings
 from seqid_cli.params.schema import Verdict
@@ -78,15 +78,6 @@ WITNESSES = (
         within=230,
         is_flagged=lambda group, count: (
             len(evenly(np.arange(count), int(group.most))) < count
-        ),
-    ),
-    Witness(
-        command="drive",
-        setting="windows.length_s",
-        beyond=0.9,
-        within=1.2,
-        is_flagged=lambda group, seconds: (
-            not cut(np.ones(round(100.0 * seconds), np.bool_), 100.0, group.length_s)
         ),
     ),
 )

@@ -138,13 +138,6 @@ def document(
         Of a drawn link, as a share of its length.
     """
     chain = model.robot.chain
-    own_content: dict[str, object] = {}
-    if armature is not None:
-        own_content["armature"] = armature
-    if friction is not None:
-        own_content["friction"] = friction
-    if remarks:
-        own_content["remarks"] = [*text_remarks(model), *remarks]
     to_next_joint = np.vstack([chain.position[1 : model.robot.n], np.zeros(3)])
     lengths = np.linalg.norm(to_next_joint, axis=1)
     return rendered(
@@ -162,7 +155,9 @@ def document(
         actuators=actuators,
         lifted=lifted or np.zeros(model.robot.n),
         hard_friction=hard_friction,
-        **own_content,
+        armature=model.armature if armature is None else armature,
+        friction=model.friction if friction is None else friction,
+        remarks=[*text_remarks(model), *remarks],
     )
 
 

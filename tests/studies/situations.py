@@ -305,6 +305,8 @@ SITUATIONS = (
             Says("simultaneous elbow", "shoulder_lift_joint: poor: does not move"),
             Says("simultaneous", "Check unit and sign", expected=False),
         ],
+        # The script stops at an error that is null, of what 1.5 s do not determine.
+        commands=("simultaneous elbow.parquet -r robot.toml -o elbow.json",),
     ),
     Situation(
         "66_joint_left_out",

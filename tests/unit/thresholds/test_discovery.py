@@ -31,7 +31,11 @@ def unsure_effect(settings: EvidenceSettings, probability: float) -> bool:
         return ()
 
     found: Any = SimpleNamespace(
-        model=SimpleNamespace(linear=SimpleNamespace(scores=lambda _: [])),
+        model=SimpleNamespace(
+            linear=SimpleNamespace(scores=lambda _: []),
+            ground=SimpleNamespace(n=1, forget_search=lambda **_: None),
+            terms=[],
+        ),
         options=Options.of(settings),
         keys=set(),
         _last_tried=[],

@@ -25,7 +25,6 @@ from seqid_cli.discover.investigate import (
     event_confidences,
     event_energies,
     investigate,
-    rms_beside_functions,
 )
 from seqid_cli.discover.lines import clear_lines, is_line
 from seqid_cli.discover.noise.whiteness import white
@@ -55,7 +54,6 @@ from seqid_cli.effects.apply import without_effects
 from seqid_cli.effects.effect import Effect
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.effects.registry import CATALOGUE, catalogue_of
-from seqid_cli.effects.smooth import MEASURES
 from seqid_cli.effects.units import Value
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.dates import now
@@ -246,24 +244,11 @@ def _nameless_by_joint(
 
 
 def _name_of(investigation: Investigation, result: TermResult) -> NameConfidence:
-    """Return how sure an effect is, beside what the finished model leaves.
-
-    A law over one quantity is all that there is of it. What is left at its joint, or
-    what a function has to take up there, is no error of it, but a sign of another law.
-    """
+    """Return how sure an effect is, beside what the finished model leaves."""
     joints = joints_below(result.term.channels, investigation.ground.n)
     floor = np.maximum(expected(investigation)[joints], 1e-12)
     floors_left = investigation.model.rms()[joints] / floor
-    floors_beside_law = np.ones(1)
-    what = result.term.what
-    is_law = isinstance(what, Candidate) and what.effect.over in MEASURES
-    if is_law and not result.term.change:
-        floors_beside_law = rms_beside_functions(investigation)[joints] / floor
-    return named(
-        result,
-        floors_left=float(np.max(floors_left, initial=1.0)),
-        floors_beside_law=float(np.max(floors_beside_law, initial=1.0)),
-    )
+    return named(result, floors_left=float(np.max(floors_left, initial=1.0)))
 
 
 def _largest_functions(

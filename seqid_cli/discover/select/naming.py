@@ -100,9 +100,7 @@ def steadiness(varied: float, share: float, floors_left: float) -> float:
     return float(1.0 - 0.5 * doubt)
 
 
-def named(
-    result: TermResult, *, floors_left: float = 1.0, floors_beside_law: float = 1.0
-) -> NameConfidence:
+def named(result: TermResult, *, floors_left: float = 1.0) -> NameConfidence:
     """Return how sure a term is to be there, and to be what its name says.
 
     Parameters
@@ -111,9 +109,6 @@ def named(
         The term and its rivals.
     floors_left : float
         RMS that the model leaves at its joints, in noise floors.
-    floors_beside_law : float
-        RMS that its effects leave there, in noise floors, where the term is a law over
-        one quantity: far above one such laws are not those of the joint.
     """
     shares = _name_probabilities(result)
     by_name = shares.pop(result.term.name, 0.0)
@@ -125,8 +120,6 @@ def named(
     )
     # Beside much that is not understood odds are even that it is a part of that.
     is_there *= 1.0 - 0.5 * result.not_understood
-    # Odds are also even for a law where most of what is left beside it is another.
-    is_there *= 0.5 + 0.5 * MORE_THAN_NOISE / max(floors_beside_law, MORE_THAN_NOISE)
     # What these logs lack the channels for is as likely as the name itself.
     untried = [name for name in result.untried if name not in likely]
     return NameConfidence(

@@ -122,16 +122,6 @@ def test_an_effect_beside_more_that_is_not_understood_is_less_sure() -> None:
     assert named(beside_more).confidence == pytest.approx(0.6 * named(alone).confidence)
 
 
-def test_a_law_is_doubted_where_another_one_is_left_beside_it() -> None:
-    """A spring took 94 % of what a rubber stop had left, and left 16 floors."""
-    scenes = arm_scenes(at_joint(0, losses), logs=1, noise=(0.1, 0.1))
-    (law,) = selected(scenes, EFFECTS[:1], stages=file_of(scenes[0])).terms
-    alone = named(law).confidence
-    assert named(law, floors_beside_law=2.5).confidence == alone
-    doubted = named(law, floors_beside_law=16.0).confidence
-    assert doubted == pytest.approx((0.5 + 0.5 * 2.5 / 16.0) * alone)
-
-
 def test_a_steady_effect_is_less_sure_beside_much_that_is_left() -> None:
     """A lag took 63 % of what a play had left, in every block alike."""
     steady = -1e3

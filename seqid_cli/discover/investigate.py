@@ -352,7 +352,7 @@ def event_energies(investigation: Investigation) -> EventEnergies:
 
     counts = np.array([rows.count(joint) for joint in range(rows.n)])
     squares_left = model.rms() ** 2
-    of_functions = rms_beside_functions(investigation) ** 2 - squares_left
+    of_functions = _squares_of_functions(investigation, squares_left)
     return EventEnergies(
         of_events=of_events,
         left=np.maximum(squares_left / floor**2 - 1.0, 0.0) * counts,
@@ -360,19 +360,23 @@ def event_energies(investigation: Investigation) -> EventEnergies:
     )
 
 
-def rms_beside_functions(investigation: Investigation) -> Array:
-    """Return the RMS (n,) N m that effects leave of each joint, without functions.
+def _squares_of_functions(investigation: Investigation, squares_left: Array) -> Array:
+    """Return the mean squares (n,) that smooth functions take up at each joint.
 
-    What a smooth function takes up is known, but not understood.
+    Parameters
+    ----------
+    investigation : Investigation
+        The investigation.
+    squares_left : (n,) array
+        Mean squares that the model leaves [N^2 m^2; N^2 where prismatic].
     """
-    squares_left = investigation.model.rms() ** 2
-    squares = squares_left.copy()
     n = investigation.ground.n
+    squares = np.zeros(n)
     for result in investigation.selection.smooth:
         for joint in (channel for channel in result.term.channels if channel < n):
             without = rms(result.left_without[joint]) ** 2
             squares[joint] += max(without - squares_left[joint], 0.0)
-    return np.asarray(np.sqrt(squares))
+    return squares
 
 
 def _mark(

@@ -222,13 +222,7 @@ def identification_options(
         hz = choice.cutoff_hz
         encoder_hz = min(encoder_hz, hz)
         origin += ": the smallest error of the predicted torque"
-    jerk_noise = _at(_noise_shares(surveys).of_jerk(), hz)
-    return MotionOptions(
-        cutoff_hz=hz,
-        origin=origin,
-        encoder_hz=encoder_hz,
-        reads_delays=jerk_noise <= limits.max_jerk_noise,
-    )
+    return MotionOptions(cutoff_hz=hz, origin=origin, encoder_hz=encoder_hz)
 
 
 def _by_posterior(

@@ -225,7 +225,7 @@ def inertia(
     stage = result.inertia
     if options.consistent:
         stage = made_consistent(stage, earlier_stages, arm)
-    stage = replace(stage, recipe=rigid_recipe(options, motion))
+    stage = replace(stage, recipe=rigid_recipe(options))
     checks = list(
         inertia_verdicts(stage, earlier_stages.gravity, arm, settings.judging)
     )
@@ -289,7 +289,7 @@ def simultaneous(
     )
     if options.consistent:
         inertia = made_consistent(inertia, Stages(), arm)
-    inertia = replace(inertia, recipe=rigid_recipe(options, motion))
+    inertia = replace(inertia, recipe=rigid_recipe(options))
     gravity = inputs.stages.gravity
     limits = settings.judging
 

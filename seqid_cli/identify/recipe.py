@@ -7,7 +7,6 @@ is no part of a recipe: it is decided anew.
 from typing import TypeVar
 
 from seqid_cli.identify.options import FrictionOptions, RigidOptions
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, Recipe, RigidStage
 from seqid_cli.settings import Settings, with_values
 
@@ -23,21 +22,15 @@ def friction_recipe(options: FrictionOptions) -> Recipe:
     )
 
 
-def rigid_recipe(options: RigidOptions, motion: MotionOptions) -> Recipe:
+def rigid_recipe(options: RigidOptions) -> Recipe:
     """Return what a user has asked of a rigid body, for its file.
 
     Parameters
     ----------
     options : RigidOptions
         What the user has asked for.
-    motion : MotionOptions
-        How the logs were filtered.
     """
-    return Recipe(
-        source=options.source,
-        consistent=options.consistent,
-        reads_delays=motion.reads_delays,
-    )
+    return Recipe(source=options.source, consistent=options.consistent)
 
 
 def recipe_of(stage: FrictionStage | RigidStage | None) -> Recipe:

@@ -236,13 +236,6 @@ class CutoffSettings(Group):
         low=1e-6,
         high=1.0,
     )
-    max_jerk_noise: float = setting(
-        2e-2,
-        unit="of the motion's power",
-        reason="noise in the jerk, up to which delays are read from it",
-        low=1e-6,
-        high=1.0,
-    )
     min_samples_per_rank: float = setting(
         3.0,
         unit="independent samples per direction",

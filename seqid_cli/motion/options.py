@@ -22,8 +22,6 @@ class MotionOptions:
         Where the cut-off came from, for messages.
     encoder_hz : float, optional
         Cut-off that would suit the encoders alone.
-    reads_delays : bool
-        Whether the jerk is known well enough to estimate delays by it.
     logs_with_own_cutoff : frozenset of str
         SHA-256 of logs that choose for themselves.
     kept : dict, optional
@@ -34,6 +32,5 @@ class MotionOptions:
     samples_per_cutoff: float = 10.0
     origin: str = ""
     encoder_hz: float | None = None
-    reads_delays: bool = True
     logs_with_own_cutoff: frozenset[str] = frozenset()
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

@@ -88,8 +88,8 @@ class Recipe(Struct, kw_only=True):
 
     `position_order`, `velocity_order` and `beta` are friction's, null where they were
     not given. `source` is where joint motion was to come from, `consistent` whether
-    only parameters that bodies can have were allowed, `reads_delays` whether the
-    motion's jerk was known well enough to estimate delays by it.
+    only parameters that bodies can have were allowed. `reads_delays` stands in files
+    of earlier programs, and nothing is made of it.
     """
 
     position_order: int | None = None

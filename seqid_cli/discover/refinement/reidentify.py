@@ -517,11 +517,10 @@ def _inertia_options(
     """
     options = material.options.motion
     recipe = recipe_of(stage)
-    motion = replace(options.motion, reads_delays=recipe.reads_delays)
     source_by_log = {}
     if recipe.source != "auto":
         source_by_log = {log.sha256: recipe.source for log in logs_of_stage}
-    return replace(options, motion=motion, source_by_log=source_by_log)
+    return replace(options, source_by_log=source_by_log)
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ all blocks. Hence a cut-off is *admissible* only where
 Cut-offs are tried an octave apart, from a starting one outward as long as the error
 falls, then half an octave to either side of the best. Of those that are nearly the
 best, or worse by no more than the scatter over the blocks explains, the one nearest to
-the start is taken: few blocks say little of many parameters. A delay's column is a
-jerk; where N_jerk / S_jerk is too large there, the delay is marginalised and not read.
+the start is taken: few blocks say little of many parameters.
 """
 
 from collections.abc import Callable, Sequence

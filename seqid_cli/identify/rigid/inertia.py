@@ -394,10 +394,6 @@ def _drive_terms(
     friction = equations.stages.friction
     assert friction is not None
     joints = dict(friction.joints)
-    # The delay's column is a jerk: where noise makes up too much of it, it is
-    # marginalised alone.
-    reads_delays = equations.options.motion.reads_delays
-    read_terms = [name for name in DRIVE_NAMES if reads_delays or name != "delay"]
     gravity = equations.stages.gravity
     of_gravity = {p.name for p in gravity.parameters} if gravity else set()
     places = [
@@ -417,7 +413,7 @@ def _drive_terms(
                 surface,
                 theta=solution.theta,
                 covariance=term_covariance,
-                places={term: columns.of(term, j) for term in read_terms},
+                places={term: columns.of(term, j) for term in DRIVE_NAMES},
             )
         by_name = {term.name: term for term in joints[name].nuisances}
         terms += [by_name[term] for term in DRIVE_NAMES if term in by_name]
@@ -428,9 +424,7 @@ def _drive_terms(
         terms=terms,
         covariance=posterior.covariance[np.ix_(places, places)],
         notes=[
-            described(term)
-            for term in shown(terms, sizes)
-            if term.joint in good_joints and (reads_delays or term.name != "delay")
+            described(term) for term in shown(terms, sizes) if term.joint in good_joints
         ],
         friction=msgspec.structs.replace(friction, joints=joints),
     )

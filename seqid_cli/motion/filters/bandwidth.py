@@ -139,29 +139,25 @@ def step_of(position: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseShares:
-    """How much of each joint's acceleration and jerk is noise below some cut-offs.
+    """How much of each joint's acceleration is noise below some cut-offs.
 
     Energies of logs add up. They are zero of joints that do not move.
 
     Attributes
     ----------
-    acceleration, jerk : Array, shape (n, C)
-        Energy of the measured motion, noise included [(rad/s^2)^2 s], [(rad/s^3)^2 s].
-    acceleration_noise, jerk_noise : Array, shape (n, C)
+    acceleration : Array, shape (n, C)
+        Energy of the measured motion, noise included [(rad/s^2)^2 s].
+    acceleration_noise : Array, shape (n, C)
         Energy of its error.
     """
 
     acceleration: Array
     acceleration_noise: Array
-    jerk: Array
-    jerk_noise: Array
 
     def __add__(self, other: "NoiseShares") -> "NoiseShares":
         return NoiseShares(
             acceleration=self.acceleration + other.acceleration,
             acceleration_noise=self.acceleration_noise + other.acceleration_noise,
-            jerk=self.jerk + other.jerk,
-            jerk_noise=self.jerk_noise + other.jerk_noise,
         )
 
     def of_joints(self, which: Mask) -> "NoiseShares":
@@ -175,17 +171,11 @@ class NoiseShares:
         return NoiseShares(
             acceleration=of_all(self.acceleration),
             acceleration_noise=of_all(self.acceleration_noise),
-            jerk=of_all(self.jerk),
-            jerk_noise=of_all(self.jerk_noise),
         )
 
     def of_acceleration(self) -> Array:
         """Return noise over motion (C,) of the joint with the worst acceleration."""
         return _worst_share(self.acceleration, self.acceleration_noise)
-
-    def of_jerk(self) -> Array:
-        """Return noise over motion (C,) of the joint with the worst jerk."""
-        return _worst_share(self.jerk, self.jerk_noise)
 
 
 def _worst_share(measured: Array, noise: Array) -> Array:
@@ -225,15 +215,9 @@ def noise_shares(
             [power_below(frequency, density, cutoffs) for density in densities]
         )
 
-    jerk = (2.0 * np.pi * frequency) ** 2 * acceleration
-    # Of noise whose power grows with f^5, n (2 pi)^4 f^5 / 5, the jerk has n (2 pi)^6
-    # f^7 / 7.
-    jerk_error = error * (2.0 * np.pi * cutoffs) ** 2 * 5.0 / 7.0
     return NoiseShares(
         acceleration=seconds * power(acceleration),
         acceleration_noise=seconds * error,
-        jerk=seconds * power(jerk),
-        jerk_noise=seconds * jerk_error,
     )
 
 

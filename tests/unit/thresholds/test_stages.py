@@ -12,7 +12,6 @@ import pytest
 from msgspec.structs import replace as with_fields
 
 from seqid_cli import identify
-from seqid_cli.identify import common_cutoff
 from seqid_cli.identify.friction_surface import hunting, stage, summary
 from seqid_cli.identify.friction_surface.checks import friction_verdicts
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
@@ -568,25 +567,6 @@ def hopeless(settings: CutoffSettings, times: float) -> bool:
     return 32.0 not in cutoffs
 
 
-def noisy_jerk(settings: CutoffSettings, share: float) -> bool:
-    """Whether no delays are read from moves with this noise in the jerk."""
-    log = SimpleNamespace(highest_hz=50.0, score=None, smoothed=None)
-    noises = SimpleNamespace(of_jerk=lambda: None)
-    options = identify.RigidOptions()
-    two: Any = [None, None]
-    with patch.multiple(
-        common_cutoff,
-        _survey=lambda *_: log,
-        _summed=lambda *_: (np.array([0.0, 1.0, 0.0]), 3),
-        _noise_shares=lambda *_: noises,
-        _at=lambda *_: share,
-    ):
-        found = common_cutoff.identification_options(
-            two, robot(), options, None, None, limits=settings
-        )
-    return not found.reads_delays
-
-
 def depends_on_the_cutoff(settings: CutoffCheckSettings, sigma: float) -> bool:
     rng = np.random.default_rng(0)
     moves = rng.standard_normal((40, 2))
@@ -862,7 +842,6 @@ WITNESSES = [
         ("inertia", "residual.max_condition", 1200.0, 800.0, bad_moves),
         ("inertia", "reversals.settled_periods", 0.8, 1.3, beside_a_reversal),
         ("inertia", "cutoff.max_acceleration_noise", 6e-3, 4e-3, noisy_acceleration),
-        ("inertia", "cutoff.max_jerk_noise", 0.024, 0.016, noisy_jerk),
         ("inertia", "cutoff.min_samples_per_rank", 2.4, 3.6, few_samples),
         ("inertia", "cutoff.max_disagreement", 0.024, 0.016, disagreeing),
         ("inertia", "cutoff.nearly_best", 1.2, 1.05, worth_leaving),

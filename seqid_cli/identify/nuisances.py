@@ -329,8 +329,8 @@ def with_drive_terms(
     covariance : (p, p) array
         Of the unknowns.
     places : mapping of str to int
-        Where terms stand among the unknowns, by their names: those of `EVEN_NAMES`, and
-        "delay" and "thermal" where the stage tells them.
+        Where terms stand among the unknowns that the stage tells, by their names:
+        "delay", "thermal", and all of `EVEN_NAMES` or none.
     """
     for term_name in ("delay", "thermal"):
         stated = term_of(joint, term_name)
@@ -343,7 +343,9 @@ def with_drive_terms(
         std_error = float(np.sqrt(covariance[place, place]))
         joint = with_term(joint, term_name, value, std_error)
 
-    even_places = [places[even_name] for even_name in EVEN_NAMES]
+    even_places = [places[term] for term in EVEN_NAMES if term in places]
+    if not even_places:
+        return joint
     of_file = EvenPart.of_joint(joint, friction_rms(surface))
     even = EvenPart(
         values=of_file.values + theta[even_places],

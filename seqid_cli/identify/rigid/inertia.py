@@ -384,8 +384,10 @@ def _drive_terms(
     """Describe the terms of the drives, and put them into the friction stage.
 
     They are believed at `good_joints`, of which noise alone is left. Elsewhere they
-    take what else the model lacks, a friction that has changed reads as a delay of ten
-    milliseconds. There they are marginalised, and friction stays as it came.
+    take what else the model lacks: there they are marginalised, and friction stays as
+    it came. A delay goes into the file all the same. The parameters were found beside
+    it, and with that of the friction trials, which know it to milliseconds, they would
+    leave a lag in every fast motion.
     """
     robot = equations.robot
     basis = equations.basis
@@ -406,15 +408,15 @@ def _drive_terms(
         surface = equations.surfaces[j]
         if surface is None or not rows.joints[j].samples:
             continue
-        if name in good_joints:
-            joints[name] = with_drive_terms(
-                joints[name],
-                name,
-                surface,
-                theta=solution.theta,
-                covariance=term_covariance,
-                places={term: columns.of(term, j) for term in DRIVE_NAMES},
-            )
+        told = DRIVE_NAMES if name in good_joints else ("delay",)
+        joints[name] = with_drive_terms(
+            joints[name],
+            name,
+            surface,
+            theta=solution.theta,
+            covariance=term_covariance,
+            places={term: columns.of(term, j) for term in told},
+        )
         by_name = {term.name: term for term in joints[name].nuisances}
         terms += [by_name[term] for term in DRIVE_NAMES if term in by_name]
         places += [columns.of(term, j) for term in DRIVE_NAMES if term in by_name]

@@ -42,7 +42,7 @@ class Fit:
         Share of samples that count as independent, as in `least_squares.solve`.
     predicting : int or None
         Number of leading unknowns that predictions use; None for all. The rest is
-        marginalised, as a delay of the measured torque, which no prediction has.
+        marginalised, as waves of friction, which this model's predictions lack.
     """
 
     theta: Array

@@ -5,10 +5,10 @@
 for comparison with the sequential way, and for logs that hold no single-joint trials.
 F_o is a constant torque per joint, as a current sensor's zero or a warm drive leaves
 it. Without it, base parameters stand in for it and are wrong beyond their errors. The
-delay of each joint's torque is unknown as well (`identify.nuisances`). It is
-marginalised and never reported: beside this law of friction it takes what friction is
-otherwise. The result is written as a friction stage of orders (0, 1) and an inertia
-stage with all base parameters, for every later command.
+delay of each joint's torque is unknown as well (`identify.nuisances`). It stands in the
+file, as the parameters were found beside it, and is never reported: beside this law of
+friction it takes what friction is otherwise. The result is written as a friction stage
+of orders (0, 1) and an inertia stage with all base parameters, for every later command.
 
 Friction of most gears waves over the position,
 
@@ -58,6 +58,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
+from seqid_cli.typing import Array
 
 # Name of what a wave of friction moves the parameters by, beside the tolerances of the
 # robot file: the values are as wrong, predicted torques are not.
@@ -205,7 +206,7 @@ class OneStepResult:
             bread=self.solution.bread,
             sigma=self.solution.sigma,
             independent=self.rows.independent,
-            predicting=self.rows.delays.start,
+            predicting=self.rows.delays.stop,
         )
         model = schema.Stages(friction=friction, inertia=inertia)
         bands = calibrate(
@@ -267,6 +268,8 @@ class OneStepResult:
             covariance=(entries @ covariance @ entries.T).tolist(),
             torque_constant_error=joint.torque_constant_error,
             law_error=self._wave_rms(j),
+            nuisances=[self._delay(j)],
+            term_moves={"delay": (entries @ self._moves_by_delay(j)).tolist()},
             speeds=[level],
             parameters=[
                 schema.Parameter(
@@ -279,6 +282,25 @@ class OneStepResult:
                     rows.terms, values, std_errors, strict=True
                 )
             ],
+        )
+
+    def _delay(self, j: int) -> schema.Nuisance:
+        """Return the delay of a joint's torque [s], which the fit was made beside."""
+        place = self.rows.delays.start + j
+        return schema.Nuisance(
+            name="delay",
+            joint=self.robot.joint_names[j],
+            value=float(self.solution.theta[place]),
+            std_error=float(np.sqrt(self.solution.covariance[place, place])),
+            unit="s",
+        )
+
+    def _moves_by_delay(self, j: int) -> Array:
+        """Return what a joint's friction (terms,) would be more per second of delay."""
+        covariance = self.solution.covariance
+        place = self.rows.delays.start + j
+        return np.asarray(
+            covariance[self.rows.friction[j], place] / covariance[place, place]
         )
 
     def _inertia_stage(self) -> schema.RigidStage:

@@ -35,7 +35,6 @@ from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.settings import FrictionSettings, SurfaceSettings
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import used_settings
 from seqid_cli.params.schema import FrictionStage, Stages
 from tests.plants.robots.sample import sample_rig
@@ -73,7 +72,7 @@ def stages_of(logs: dict[str, list[Recording]]) -> Stages:
     inertia = identify_inertia(logs["inertia"], robot, stages, options=InertiaOptions())
     stages.friction = inertia.friction
     stages.inertia = inertia.inertia
-    stages.inertia.recipe = rigid_recipe(RigidOptions(consistent=True), MotionOptions())
+    stages.inertia.recipe = rigid_recipe(RigidOptions(consistent=True))
     return stages
 
 

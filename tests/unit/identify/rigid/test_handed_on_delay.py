@@ -9,7 +9,9 @@ import pytest
 from seqid_cli.identify.nuisances import term_of, with_term
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from tests.plants.robots.identified import held_out
 from tests.plants.robots.sample import Rig
@@ -51,3 +53,26 @@ def test_a_file_predicts_its_own_logs_as_its_stage_says(
     )
     predicted = held_out(logs, two_joint.robot, file, InertiaOptions())
     assert predicted.sliding[0] < 1.1 * result.inertia.rmse[name]
+
+
+def late(log: Recording, seconds: float) -> Recording:
+    """A log whose torques are late against its positions."""
+    assert log.tau is not None
+    tau = [np.interp(log.t - seconds, log.t, column) for column in log.tau.T]
+    return replace(log, tau=np.stack(tau, axis=1))
+
+
+def test_one_step_predicts_torque_as_late_as_it_is(two_joint: Rig) -> None:
+    robot = two_joint.robot
+    logs = [late(log, MISREAD_S) for log in two_joint.logs("inertia")]
+
+    friction, inertia = identify_simultaneous(logs, robot, options=MotionOptions())
+    file = Stages(friction=friction, inertia=inertia)
+    for name in robot.joint_names:
+        delay = term_of(friction.joints[name], "delay")
+        assert delay is not None
+        # Beside Coulomb and viscous friction it takes what friction is otherwise.
+        assert delay.value == pytest.approx(MISREAD_S, rel=0.3)
+    predicted = held_out(logs, robot, file, InertiaOptions())
+    for sliding, rmse in zip(predicted.sliding, inertia.rmse.values(), strict=True):
+        assert sliding < 1.1 * rmse

@@ -111,9 +111,8 @@ def _delay_note(joint_name: str, delay_s: float) -> str:
     direction = "late" if delay_s > 0 else "early"
     return (
         f"joint {joint_name}: torque is {1e3 * abs(delay_s):.1f} ms"
-        f" {direction} against position, less than a sample,"
-        " and taken for the logger's own; logs at a higher rate would tell a skew"
-        " or a lag"
+        f" {direction} against position, beyond what the file says, and taken for the"
+        " logger's own; logs at a higher rate would tell a skew or a lag"
     )
 
 

@@ -73,8 +73,10 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
         file's. Offset and asymmetry have no terms here: they are in the file's
         friction, which may move.
     """
-    # Within a sample a delay is the logger's own, another one in every session. Beyond
-    # that and the file's own error it is left to effects.
+    # Within a sample a delay is the logger's own, another one in every session. The
+    # file's may be what a stage has made of another effect: a lag that was there from
+    # the start is a delay and a difference, which reads as an elasticity while the
+    # delay is held. Beyond these and the file's own error it is left to effects.
     sample_s = max(scene.period for scene in scenes)
     joints_of_file = stages.friction.joints if stages.friction else {}
     slopes = []
@@ -88,10 +90,11 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
     nuisances = []
     for joint, name in enumerate(scenes[0].robot.joint_names):
         terms = joints_of_file[name].nuisances if name in joints_of_file else []
-        std_error_s = next(
-            (term.std_error for term in terms if term.name == DELAY), 0.0
-        )
-        std_s = float(np.hypot(sample_s, std_error_s))
+        of_file = next((term for term in terms if term.name == DELAY), None)
+        widths_s = [sample_s]
+        if of_file is not None:
+            widths_s += [of_file.std_error, of_file.value]
+        std_s = float(np.linalg.norm(widths_s))
         nuisances.append(
             Nuisance(
                 name=DELAY,

@@ -25,6 +25,7 @@ LOCK := .ci/requirements.txt
 TOOLS := $(VENV)-tools/.installed
 UV := $(VENV)-tools/bin/uv
 OLDEST := $(VENV)-oldest/.installed
+RELEASE := $(VENV)-release/.installed
 
 .PHONY: help
 help: ## list the targets
@@ -52,7 +53,8 @@ locked: $(LOCK) | $(BIN)/python ## install what is locked, by its hashes, instea
 
 $(TOOLS): | $(BIN)/python
 	$(BIN)/python -m venv $(@D)
-	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check uv pip-audit
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check \
+		uv pip-audit cyclonedx-bom pip-licenses
 	touch $@
 
 .PHONY: lock audit
@@ -65,6 +67,23 @@ audit: $(TOOLS) ## look the locked dependencies up in the list of known holes
 	echo "$$said"; case "$$said" in *ERROR*) \
 		echo "not audited: the advisory data base cannot be reached from this machine, or does not know a dependency" >&2;; \
 	esac; exit $$code
+
+# What `pip install seqid` installs, and nothing else: the parts of a release.
+$(RELEASE): pyproject.toml $(LOCK) $(TOOLS)
+	$(UV) venv --quiet --allow-existing --python $(BIN)/python $(@D)
+	$(UV) pip install --quiet --python $(@D)/bin/python --constraint $(LOCK) .
+	touch $@
+
+.PHONY: sbom licences
+sbom: $(RELEASE) ## list the parts of a release with versions and licences, as CycloneDX, into $(OUT)/sbom.json
+	mkdir -p $(OUT)
+	$(dir $(TOOLS))bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
+		--output-file $(OUT)/sbom.json $(dir $(RELEASE))bin/python
+
+licences: $(RELEASE) ## list the licences of all dependencies anew, in docs/reference/licences.md
+	$(dir $(TOOLS))bin/pip-licenses --python $(dir $(RELEASE))bin/python --from mixed --format markdown --with-urls \
+		--ignore-packages seqid \
+		| $(BIN)/python -m tests.unit.docs.licences
 
 # ---- checks
 

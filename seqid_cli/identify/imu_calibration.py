@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.errors import InputError, QualityError, UsageError
 from seqid_cli.identify.log_set import LogSet, mapped
 from seqid_cli.identify.settings import ImuCalibSettings, MountingSettings
 from seqid_cli.identify.tolerances import deviations
@@ -56,10 +56,14 @@ class _ImuData:
 
 @dataclass(frozen=True, kw_only=True)
 class _LogData:
-    """Data of one log on every IMU that it records, at its cut-off [Hz]."""
+    """Data of one log on every IMU that it records, at its cut-off [Hz].
+
+    `refused` says of an IMU why this log tells nothing of it.
+    """
 
     imus: dict[str, _ImuData]
     cutoff_hz: float
+    refused: dict[str, str]
 
 
 def calibrate_imus(
@@ -108,7 +112,11 @@ def calibrate_imus(
         imu_logs = [log.imus[imu.name] for log in logs if imu.name in log.imus]
         segments = [segment for data in imu_logs for segment in data.segments]
         if not any(segment.moving for segment in segments):
-            reason = "no log moves a joint before this IMU with its readings recorded"
+            reasons = [log.refused[imu.name] for log in logs if imu.name in log.refused]
+            reason = next(
+                iter(reasons),
+                "no log moves a joint before this IMU with its readings recorded",
+            )
             verdicts.append(schema.Verdict(joint=imu.name, good=False, reason=reason))
             continue
         imus[imu.name], converged = _calibrated(robot, imu, imu_logs)
@@ -123,7 +131,7 @@ def calibrate_imus(
         message = f"{finding.joint} {finding.message}"
         raise QualityError(message, hint=finding.remedy, where=finding.log)
     if not imus:
-        message = "no log moves a joint before an IMU with its readings recorded"
+        message = f"{verdicts[0].joint}: {verdicts[0].reason}"
         hint = (
             "rotate the first joint back and forth with the others locked in several"
             " postures"
@@ -157,6 +165,7 @@ def _log_data(
     motion = estimate_motion(recording, robot, options)
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz, highest_hz)
     imus = {}
+    refused = {}
     for imu in robot.imus:
         if imu.name not in recording.accelerometers:
             continue
@@ -167,7 +176,15 @@ def _log_data(
         at_readings = every(recording, stride)
         its_motion = motion
         if stride > 1:
-            its_motion = estimate_motion(at_readings, robot, options)
+            try:
+                its_motion = estimate_motion(at_readings, robot, options)
+            except InputError as error:
+                rate_hz = recording.rate_hz / stride
+                refused[imu.name] = (
+                    f"of its {rate_hz:.3g} readings a second no motion can be made:"
+                    f" {error.message}"
+                )
+                continue
             its_cutoff_hz = calibration_cutoff(
                 its_motion, options.cutoff_hz, highest_hz
             )
@@ -185,7 +202,7 @@ def _log_data(
         imus[imu.name] = _ImuData(
             log=str(recording.path), segments=segments, pairs=pairs, density=density
         )
-    return _LogData(imus=imus, cutoff_hz=cutoff_hz)
+    return _LogData(imus=imus, cutoff_hz=cutoff_hz, refused=refused)
 
 
 def _samples_per_reading(

@@ -120,7 +120,9 @@ def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
     if 0.0 < abs(joint.speed_range[0]) < SMALLEST:
         yield f"{key}.speed_range", f"begins at {joint.speed_range[0]} rad/s"
     # Of one surface for both directions, or of two.
-    yield from _square(key, joint.covariance, rows * columns, 2 * rows * columns)
+    entries = rows * columns * (2 if joint.directional else 1)
+    if not _has_shape(joint.covariance, entries, entries):
+        yield f"{key}.covariance", f"must be square with {entries} rows"
     if not 0.0 <= joint.torque_constant_error < 1.0:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
     if joint.law_error < 0.0:
@@ -206,11 +208,10 @@ def _evidence(key: str, evidence: EvidenceEntry) -> Iterator[_Problem]:
         yield key, "x, count, before and after must be of one length"
 
 
-def _square(key: str, covariance: schema.Matrix, *sizes: int) -> Iterator[_Problem]:
-    """Yield that a covariance which is there has none of the sizes."""
-    if covariance and not any(_has_shape(covariance, size, size) for size in sizes):
-        listed = " or ".join(map(str, sizes))
-        yield f"{key}.covariance", f"must be square with {listed} rows"
+def _square(key: str, covariance: schema.Matrix, size: int) -> Iterator[_Problem]:
+    """Yield that a covariance which is there has another size."""
+    if covariance and not _has_shape(covariance, size, size):
+        yield f"{key}.covariance", f"must be square with {size} rows"
 
 
 def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:

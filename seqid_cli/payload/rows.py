@@ -24,6 +24,7 @@ from seqid_cli.identify.regression.least_squares import (
     Solution,
     solve,
 )
+from seqid_cli.identify.regression.repeats import with_log
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.motion import Motion
@@ -89,6 +90,7 @@ class PayloadRows:
         # Above the cut-off neighbouring samples repeat each other: a few are enough.
         kept_hz = self.predictor.options.motion.samples_per_cutoff * motion.cutoff.hz
         stride = max(1, int(motion.rate_hz / kept_hz))
+        log_joints = [Accumulator(joint.size) for joint in self.joints]
         for chunk, H in filtered_regressor(motion, self.robot, self.basis):
             for block in blocks(len(H), motion.rate_hz):
                 H_block = H[block.start : block.stop : stride]
@@ -99,16 +101,19 @@ class PayloadRows:
                     sliding = prediction.sliding[rows][:, j]
                     self._add_joint(
                         j,
+                        log_joints[j],
                         H=H_block[sliding, j],
                         residual=residual[rows][sliding, j],
                         torque=prediction.tau[rows][sliding, j],
                         friction=friction[rows][sliding, j],
                         relative_speed=relative_speed[rows][sliding, j],
                     )
+        self.joints = with_log(self.joints, log_joints)
 
     def _add_joint(
         self,
         j: int,
+        equations: Accumulator,
         *,
         H: Array,
         residual: Array,
@@ -116,11 +121,10 @@ class PayloadRows:
         friction: Array,
         relative_speed: Array,
     ) -> None:
-        """Add sliding samples of joint `j`.
+        """Add sliding samples of joint `j` to its `equations`.
 
         H is (N, b), the others are (N,): N m, and speed over the largest of the log.
         """
-        equations = self.joints[j]
         first_change = PER_LINK + FRICTION_TERMS * j
         columns = np.zeros((len(H), equations.size))
         columns[:, :PER_LINK] = H @ self.basis.last_link

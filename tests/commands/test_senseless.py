@@ -46,6 +46,20 @@ def test_no_torque_has_no_share(rig: Rig, factor: float) -> None:
     assert "its torque is zero in all rows: nothing is known of it" in reasons
 
 
+@pytest.mark.parametrize("kept", [100, 800])
+def test_imu_calibration_names_an_imu_that_is_too_slow(rig: Rig, kept: int) -> None:
+    """Of a reading in `kept` no motion can be made: 8 Hz, and two readings in all."""
+    columns = read_columns(RIG / "imu" / "joint_1_posture_1.parquet")
+    for name in columns:
+        if name.startswith("imu"):
+            values = columns[name]
+            values[np.arange(len(values)) % kept > 0] = np.nan
+    write_columns(rig.folder / "log.parquet", columns)
+    done = rig.run("imu-calib", "log.parquet", *ROBOT, "-o", "i.json")
+    assert done.code == 1, done.err
+    assert "imu_a" in done.err
+
+
 @pytest.mark.parametrize("channel", ["position", "current"])
 def test_a_channel_that_is_mostly_missing_makes_no_good_model(
     rig: Rig, channel: str

@@ -120,6 +120,23 @@ class Accumulator:
             merged._halve()
         return merged
 
+    def repeated(self, other: "Accumulator", first: int) -> "Accumulator":
+        """Return the rows of both, those of `other` in the blocks from `first` on.
+
+        Both have blocks of one length.
+        """
+        joined = copy(self)
+        joined.blocks = list(self.blocks)
+        joined.rows = list(self.rows)
+        joined._total = None
+        for k, (factor, n_rows) in enumerate(
+            zip(other.blocks, other.rows, strict=True)
+        ):
+            both = np.vstack([self.blocks[first + k], factor])
+            joined.blocks[first + k] = triangular(both)
+            joined.rows[first + k] += n_rows
+        return joined
+
     def _halve(self) -> None:
         """Merge each two neighbouring blocks; one without a partner stays."""
         if len(self.blocks) % 2 == 0:

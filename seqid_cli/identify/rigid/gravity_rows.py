@@ -18,7 +18,7 @@ The rows are whitened joint by joint; pi, o, e are solved for, and the others wi
 standard errors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +27,7 @@ import numpy as np
 from seqid_cli.identify.friction_surface import corrections
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, SteadyGroup
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
-from seqid_cli.identify.friction_surface.trials import Trial
+from seqid_cli.identify.friction_surface.trials import Trial, speed_levels
 from seqid_cli.identify.nuisances import (
     EVEN_TERMS,
     FrictionChange,
@@ -61,7 +61,8 @@ class TrialRows:
     (N,) rad/s^2 those of what is not known better. `torque` (N,) N m is what friction
     leaves, `friction` (N,) the surface's torque and `friction_std` (N,) its stated
     error. `t` (N,) s is the time within the log. A row averages over `samples` and
-    `seconds` (N,); `trial`, `log` and `group` (N,) say where it is from.
+    `seconds` (N,); `trial`, `log` and `group` (N,) say where it is from, `motion` (N,)
+    which trials are of one speed, direction and posture.
     """
 
     gravity: Array
@@ -80,6 +81,7 @@ class TrialRows:
     trial: Index
     log: Index
     group: Index
+    motion: Index
 
     @classmethod
     def joined(cls, parts: Sequence["TrialRows"]) -> "TrialRows":
@@ -205,10 +207,12 @@ class GravityRows:
 
         white = rows.whitened()
         H = self._among_all(white.unknowns, j)
-        for number in np.unique(rows.trial):  # each is a block
-            self.trials_used += 1
+        self.trials_used += len(np.unique(rows.trial))
+        # A block is a motion: what a trial has for itself, the next one of the same
+        # motion has as well (`regression.repeats`).
+        for number in np.unique(rows.motion):
             for k, joint in enumerate(joints):
-                joint.add(H, white.torque, (rows.trial == number) & (k == j))
+                joint.add(H, white.torque, (rows.motion == number) & (k == j))
         self.joints[j] = JointRows(H=self._among_all(rows.unknowns, j), rows=rows)
 
         self.cross[j] = H.T @ white.friction_error
@@ -247,10 +251,13 @@ class GravityRows:
 
         gravity = self.held.means(settled)
         standing = self.held.unseen(settled)
+        motions = _motions(settled, group_numbers)
         parts = [
-            self._rows_of_trial(trial, surface, H, stood, number=n, group=group)
-            for n, (trial, H, stood, group) in enumerate(
-                zip(settled, gravity, standing, group_numbers, strict=True)
+            self._rows_of_trial(
+                trial, surface, H, stood, number=n, group=group, motion=motion
+            )
+            for n, (trial, H, stood, group, motion) in enumerate(
+                zip(settled, gravity, standing, group_numbers, motions, strict=True)
             )
         ]
         return TrialRows.joined(parts)
@@ -264,6 +271,7 @@ class GravityRows:
         *,
         number: int,
         group: int,
+        motion: int,
     ) -> TrialRows:
         """Return a trial's rows from its slices: H (K, p), standing (K, n) N m."""
         count = len(trial.q) // GROUP_SIZE
@@ -304,6 +312,7 @@ class GravityRows:
             trial=np.full(count, number, dtype=np.intp),
             log=np.full(count, trial.log, dtype=np.intp),
             group=np.full(count, group, dtype=np.intp),
+            motion=np.full(count, motion, dtype=np.intp),
         )
 
     def _thermal_column(
@@ -351,6 +360,19 @@ class GravityRows:
             j: -solution.bread @ (crossed / solution.sigma[j] ** 2)
             for j, crossed in self.cross.items()
         }
+
+
+def _motions(trials: Sequence[Trial], groups: Sequence[int]) -> list[int]:
+    """Number the motions of trials: their speeds, directions and postures."""
+    levels = speed_levels(list(trials))
+    level_of = {id(trial): k for k, level in enumerate(levels) for trial in level}
+    numbers: dict[Hashable, int] = {}
+    return [
+        numbers.setdefault(
+            (level_of[id(trial)], trial.velocity > 0.0, group), len(numbers)
+        )
+        for trial, group in zip(trials, groups, strict=True)
+    ]
 
 
 def _thermal_change(friction: FrictionStage, name: str) -> FrictionChange | None:

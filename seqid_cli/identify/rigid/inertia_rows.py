@@ -7,6 +7,7 @@ import numpy as np
 from seqid_cli.identify.bands.rows import BandRowsCollector
 from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.identify.regression.noise_level import LogNoise
+from seqid_cli.identify.regression.repeats import with_log
 from seqid_cli.params.schema import MotionUse
 from seqid_cli.typing import Array, Mask
 
@@ -53,14 +54,14 @@ class InertiaRows:
         )
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
+        """Return these rows and those of one more log."""
         nothing = np.zeros(())
         cross = {
             j: self.cross.get(j, nothing) + other.cross.get(j, nothing)
             for j in self.cross | other.cross
         }
-        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
         return InertiaRows(
-            joints=joints,
+            joints=with_log(self.joints, other.joints),
             torque_squares=self.torque_squares + other.torque_squares,
             sample_counts=self.sample_counts + other.sample_counts,
             cross=cross,

@@ -24,6 +24,7 @@ from seqid_cli.identify.regression.least_squares import (
     solve,
     whitened,
 )
+from seqid_cli.identify.regression.repeats import with_log
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
@@ -130,7 +131,7 @@ class SimultaneousEquations:
 
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
         self.logs.append(log_joints)
-        self.joints = [a + b for a, b in zip(self.joints, log_joints, strict=True)]
+        self.joints = with_log(self.joints, log_joints)
 
     def _friction_columns(self, motion: Motion) -> tuple[Array, Array]:
         """Return columns of friction (N, n, terms) and waves (N, n, 2), filtered."""

@@ -83,7 +83,9 @@ def numbers(where: str, table: pa.Table, name: str) -> Array:
                 where=where,
             )
         array: Array = pc.cast(values, pa.float64(), safe=False).to_numpy()
-    return array
+    # Some patterns of a damaged NaN raise a warning in every sum that they are in.
+    is_missing = np.isnan(array)
+    return np.where(is_missing, np.nan, array) if is_missing.any() else array
 
 
 @contextmanager

@@ -54,7 +54,7 @@ def values_by_column(path: Path) -> dict[str, int]:
                 metadata = chunk[_METADATA]
                 name = b".".join(metadata[_PATH]).decode()
                 counts[name] = counts.get(name, 0) + int(metadata[_VALUES])
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError) as error:
         raise FooterError(f"a field is missing or of another type: {error}") from error
     if min(counts.values(), default=0) < 0:
         raise FooterError("a column has fewer values than none")

@@ -1,22 +1,25 @@
-"""Fuzz every reader and parser: `python -m tests.studies.fuzz [--count N | --seconds
-S]`.
+"""Fuzz every command by every kind of input: `python -m tests.studies.fuzz [--count N |
+--seconds S]`.
 
 Damages sound files of every kind at random and gives them to the commands that read
 them. Every one must end with a result or a message: no traceback, no exit code 70, no
-warning of a library, at most 10 s of CPU time and 1 GiB. What is not answered so is
-kept in the folder of --keep. With --write the table goes into docs/evidence/damage.md.
+warning of a library, no claim that does not hold, at most 10 s of CPU time and 1 GiB.
+What is not answered so is kept in the folder of --keep. Inputs that got an answer of
+their own are kept in its folder `corpus`, and are damaged further in the next run. With
+--write the table goes into docs/evidence/damage.md.
 """
 
 import argparse
 import hashlib
+import re
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tests.studies.fuzz.run import Tally, fuzz
-from tests.studies.fuzz.targets import targets
+from tests.studies.fuzz.run import LONGEST, Outcome, Tally, fuzz
+from tests.studies.fuzz.targets import Target, targets
 from tests.studies.tables import show, table
 
 HEADER = (
@@ -29,7 +32,7 @@ HEADER = (
     "slowest, s",
     "peak, MiB",
 )
-ROUND = 250  # inputs of a target before the next has its turn
+ROUND = 100  # inputs of a target before the next has its turn
 
 
 def main() -> int:
@@ -53,7 +56,8 @@ def main() -> int:
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         made = [target for target in targets(Path(name)) if chosen.only in target.name]
-        tallies = {target.name: Tally() for target in made}
+        corpus = chosen.keep / "corpus"
+        tallies = {target.name: Tally(kept=_read(corpus, target)) for target in made}
         done, begun = 0, time.monotonic()
         while done < chosen.count and time.monotonic() - begun < chosen.seconds:
             for number, target in enumerate(made):
@@ -61,26 +65,42 @@ def main() -> int:
                 folder.mkdir(exist_ok=True)
                 parts = repr((target.name, chosen.seed, done)).encode()
                 seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
+                before = len(tally.outcomes)
                 fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
+                _keep(target, tally.outcomes[before:], chosen.keep)
                 told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
                 sys.stderr.write(f"{target.name}: {told}\n")
             done += ROUND
     show("evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
-    return 1 if _kept(tallies, chosen.keep) else 0
+    return 1 if any(tally.finds for tally in tallies.values()) else 0
 
 
-def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
-    finds = [(name, find) for name, tally in tallies.items() for find in tally.finds]
-    for name, find in finds:
-        folder.mkdir(parents=True, exist_ok=True)
-        stem = f"{name.replace(' ', '_')}_{hashlib.sha256(find.data).hexdigest()[:8]}"
-        (folder / stem).write_bytes(find.data)
-        report = f"{find.why}\n{' '.join(find.line)}\n{find.damage}\n{find.said}\n"
-        (folder / f"{stem}.txt").write_text(
-            report, encoding="utf-8", errors="backslashreplace"
+def _folder(corpus: Path, target: Target) -> Path:
+    return corpus / re.sub(r"\W+", "_", target.name)
+
+
+def _read(corpus: Path, target: Target) -> list[bytes]:
+    """Return the inputs that earlier runs have kept."""
+    return [path.read_bytes() for path in sorted(_folder(corpus, target).glob("*"))]
+
+
+def _keep(target: Target, outcomes: Sequence[Outcome], keep: Path) -> None:
+    """Keep finds with what was said of them, and inputs with answers of their own."""
+    corpus = _folder(keep / "corpus", target)
+    corpus.mkdir(parents=True, exist_ok=True)
+    for outcome in outcomes:
+        name = hashlib.sha256(outcome.data).hexdigest()[:12]
+        if not outcome.why and 0 < len(outcome.data) < LONGEST:
+            (corpus / name).write_bytes(outcome.data)
+        if not outcome.why:
+            continue
+        path = keep / f"{corpus.name}_{name}"
+        path.write_bytes(outcome.data)
+        parts = (outcome.why, " ".join(outcome.line), outcome.damage, outcome.said)
+        path.with_suffix(".txt").write_text(
+            "\n".join(parts), encoding="utf-8", errors="backslashreplace"
         )
-        sys.stderr.write(f"{folder / stem}: {find.why}\n")
-    return len(finds)
+        sys.stderr.write(f"{path}: {outcome.why}: {' '.join(outcome.line)}\n")
 
 
 def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:

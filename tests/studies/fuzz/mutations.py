@@ -118,9 +118,10 @@ TEXT: tuple[Damage, ...] = (
 def mutated(
     sound: bytes, damages: Sequence[Damage], rng: np.random.Generator, most: int = 3
 ) -> tuple[bytes, str]:
-    """Return a file with one to `most` damages, and their names."""
+    """Return a file with one to `most` damages, most often one, and their names."""
     data, names = bytearray(sound), []
-    for _ in range(int(rng.integers(1, most + 1))):
+    count = 1 if rng.random() < 0.5 else int(rng.integers(1, most + 1))
+    for _ in range(count):
         damage = damages[int(rng.integers(len(damages)))]
         damage(data, rng)
         names.append(damage.__name__)

@@ -3,12 +3,11 @@ values.
 """
 
 import copy
-import functools
 import io
 import json
 import sqlite3
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import lz4.frame
@@ -16,17 +15,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Schema
 from mcap.stream_reader import StreamReader
 
-from tests.studies.fuzz.mutations import BINARY, TEXT, Damage, mutated
+from tests.studies.fuzz.containers import MCAP_MAGIC, inside, places, written
+from tests.studies.fuzz.mutations import BINARY, TEXT, mutated
 
 _NUMBERS = (0, -1, 1e300, -1e300, 5e-324, 1e-9, 0.5, 1, 2**31, 2**63 - 1)
 _STRINGS = ("", " ", "1", "x" * 300, "\x1b[31m", "../x", "\u202e\ufeff", "nan")
 _OTHER: tuple[object, ...] = (None, True, [], {}, [[]], [0.0] * 1000, {"a": 1})
 _KEPT = (Schema, Channel, Message)
-_MAGIC = b"\x89MCAP0\r\n"
 _PACKERS = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
 _TYPES = (
     *(
@@ -73,35 +71,12 @@ def _odd(value: object, rng: np.random.Generator) -> Any:
     return _of(alike if rng.random() < 0.8 else (*_NUMBERS, *_STRINGS, *_OTHER), rng)
 
 
-def _inside(damage: Callable[[bytes, np.random.Generator], bytes]) -> Damage:
-    """Leave a file as it is that other damages have made unreadable."""
-
-    @functools.wraps(damage)
-    def careful(data: bytearray, rng: np.random.Generator) -> None:
-        for _ in range(5):
-            try:
-                data[:] = damage(bytes(data), rng)
-                return
-            # whatever a library says of such a file, or of such a value
-            except Exception:
-                continue
-
-    return careful
-
-
-def _places(holder: Any) -> Iterator[tuple[Any, Any]]:
-    for key in holder if isinstance(holder, dict) else range(len(holder)):
-        yield holder, key
-        if isinstance(holder[key], dict | list):
-            yield from _places(holder[key])
-
-
-@_inside
+@inside
 def value(data: bytes, rng: np.random.Generator) -> bytes:
     """A value of a JSON document is another, is lost, moves, or comes many times."""
     tree = [json.loads(data)]
-    places = list(_places(tree))
-    (holder, key), (other, from_key) = _of(places, rng), _of(places, rng)
+    spots = list(places(tree))
+    (holder, key), (other, from_key) = _of(spots, rng), _of(spots, rng)
     one = holder[key]
     match int(rng.integers(6)):
         case 0:
@@ -119,7 +94,7 @@ def value(data: bytes, rng: np.random.Generator) -> bytes:
     return json.dumps(tree[0], ensure_ascii=False).encode(errors="surrogatepass")
 
 
-@_inside
+@inside
 def record(data: bytes, rng: np.random.Generator) -> bytes:
     """A schema, channel or message of an MCAP file is another; chunk and checksum are
     right.
@@ -131,7 +106,7 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
     setattr(one, name, _odd(getattr(one, name), rng))
     if rng.random() < 0.2:
         kept = kept * 2 if rng.random() < 0.5 else [r for r in kept if r is not one]
-    compression, content = _of(list(_PACKERS), rng), _written(*kept)
+    compression, content = _of(list(_PACKERS), rng), written(*kept)
     chunk = Chunk(
         compression=compression,
         data=_PACKERS[compression](content),
@@ -141,20 +116,13 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
         uncompressed_size=len(content),
     )
     return (
-        _MAGIC
-        + _written(Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0))
-        + _MAGIC
+        MCAP_MAGIC
+        + written(Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0))
+        + MCAP_MAGIC
     )
 
 
-def _written(*records: Any) -> bytes:
-    builder = RecordBuilder()
-    for each in records:
-        each.write(builder)
-    return bytes(builder.end())
-
-
-@_inside
+@inside
 def column(data: bytes, rng: np.random.Generator) -> bytes:
     """A column of a Parquet file has another type, other values or another name."""
     table = pq.read_table(io.BytesIO(data))
@@ -201,7 +169,7 @@ def _spoilt(values: list[Any], rng: np.random.Generator) -> list[Any]:
     return [odd if rng.random() < share else each for each in values]
 
 
-@_inside
+@inside
 def row(data: bytes, rng: np.random.Generator) -> bytes:
     """A value in an SQLite file is another."""
     base = sqlite3.connect(":memory:")
@@ -222,7 +190,7 @@ def row(data: bytes, rng: np.random.Generator) -> bytes:
     return base.serialize()
 
 
-@_inside
+@inside
 def element(data: bytes, rng: np.random.Generator) -> bytes:
     """An element of an XML document is lost, comes again elsewhere, or says something
     else.

@@ -1,7 +1,7 @@
 """What is fuzzed: sound files of every kind, and the command lines that read them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -14,8 +14,21 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from tests.studies.fuzz.answers import answer
+from tests.studies.fuzz.command_lines import Line, lines_for
 from tests.studies.fuzz.mutations import BINARY, TEXT, Damage, word
+from tests.studies.fuzz.shapes import (
+    csv_shape,
+    json_shape,
+    mcap_shape,
+    parquet_shape,
+    sqlite_shape,
+    toml_shape,
+    xml_shape,
+)
 from tests.studies.fuzz.structured import column, element, record, row, value
+from tests.studies.fuzz.thrift import footer, page
+from tests.unit.drive.test_command import bench
+from tests.unit.inspect.faults import SAMPLES
 from tests.unit.logs import format_writers as formats
 from tests.unit.logs.samples import grid, make_motion
 from tests.unit.logs.writers import rewrite, write_mcap
@@ -27,16 +40,14 @@ from tests.unit.report.pages import (
     write_torques,
 )
 
-MCAP, PARQUET, BAG = (
-    (*BINARY, *[record] * 8),
-    (*BINARY, *[column] * 16),
-    (*BINARY, *[word] * 16),
-)
-SQLITE, JSON, XML = (
-    (*BINARY, *[row] * 16),
-    (*TEXT, *[value] * 20),
-    (*TEXT, *[element] * 20),
-)
+MCAP = (*BINARY, *[record] * 8, *[mcap_shape] * 2)
+PARQUET = (*BINARY, *[column] * 12, *[footer] * 6, *[page] * 6, *[parquet_shape] * 2)
+BAG = (*BINARY, *[word] * 16)
+SQLITE = (*BINARY, *[row] * 16, *[sqlite_shape] * 3)
+JSON = (*TEXT, *[value] * 20, *[json_shape] * 2)
+TOML = (*TEXT, *[toml_shape] * 2)
+XML = (*TEXT, *[element] * 20, *[xml_shape] * 4)
+CSV = (*TEXT, *[csv_shape] * 2)
 _ARM = (
     'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n{more}\n'
     + "".join(
@@ -65,6 +76,7 @@ joint = "elbow"
 torque = "c1 * sin(p * dq_1) + c2 * tanh(dq / p) * abs(load) ** 2"
 settings = { p = [0.5, 4.0] }
 """
+LOG = "folder/inertia/log"  # in a folder for `run`
 _URDF = """<?xml version="1.0"?>
 <robot name="arm">
   <link name="base"/>
@@ -81,43 +93,22 @@ _URDF = """<?xml version="1.0"?>
 """
 
 
-Line = list[str]  # of a command; {} is the damaged file, {@} the folder
-
-
-def _lines(text: str) -> list[Line]:
-    return [line.split() for line in text.strip().splitlines()]
-
-
-_READ = """
-inspect {} -r {@}/robot.toml
-inspect {} -r {@}/robot.toml
-inspect {}
-init {} -o {@}/out.toml
-"""
-_LOG = _lines(_READ + "predict {} -r {@}/robot.toml -p {@}/model.json --cutoff 20")
-_ROBOT = _lines("""
-export {@}/model.json -r {@}/robot.toml -o {@}/out.urdf
-plan gravity -r {@}/robot.toml -o {@}/out.json
-predict {@}/log.csv -r {@}/robot.toml -p {@}/model.json --cutoff 20
-""")
-_DRAWING = [*_ROBOT, *_lines("init {@}/log.csv --urdf {} -o {@}/out.toml")]
-_REPORT = _lines("report {} -o {@}/out.html")
-_PARAMETERS = _lines("""
-compare {} {@}/sound.json
-compare {@}/model.json {}
-trend {} {@}/sound.json -o {@}/out.json
-export {} -r {@}/robot.toml -o {@}/out.xml
-gravity {@}/log.csv -r {@}/robot.toml -p {}
-report {} -o {@}/out.html
-""")
-_TORQUES = _lines("report {@}/prediction.json --torques {} -o {@}/out.html")
-_BOTH = _lines("report {} -o {@}/out.html --torques {@}/torques.parquet")
+_SAMPLE = SAMPLES / "one_joint"
+# Logs of the sample robot, by the names that command lines give them.
+_TRIALS = {
+    "log": "validation/point_to_point",
+    "held_out": "changed/held_out",
+    "friction": "friction/joint_1",
+    "gravity": "gravity/joint_1",
+    "imu": "imu/joint_1_posture_1",
+    "inertia": "inertia/joint_1",
+}
 
 
 @dataclass(frozen=True)
 class Target:
     """A kind of file: the name it gets, sound ones, ways to damage them, and who reads
-    it.
+    it; what else is in the folder.
     """
 
     name: str
@@ -125,31 +116,33 @@ class Target:
     seeds: Sequence[bytes]
     damages: Sequence[Damage]
     lines: Sequence[Line]
-    # what else is in the folder
     beside: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def targets(work: Path) -> list[Target]:
-    arm = _arm(work)
-    dh, by_urdf = (
-        arm["robot.toml"],
-        _ARM.format(more='urdf = "arm.urdf"', dh="").encode(),
-    )
-    robots = [
-        Target(
-            "robot.toml", "robot.toml", [dh, dh + _MORE.encode(), by_urdf], TEXT, _ROBOT
-        ),
-        Target(
-            "URDF",
-            "arm.urdf",
-            [arm["arm.urdf"]],
-            XML,
-            _DRAWING,
-            {"robot.toml": by_urdf},
-        ),
+    arm, sample = _arm(work), _sample(work)
+    every = [*_logs(work, arm), *_robots(arm, sample), *_documents(work, arm, sample)]
+    trials = [sample[name] for name in _TRIALS]
+    log = Target("Parquet, trials", LOG, trials, PARQUET, lines_for("log"), sample)
+    return [*every, log]
+
+
+def _robots(arm: Mapping[str, bytes], sample: Mapping[str, bytes]) -> list[Target]:
+    dh = arm["robot.toml"]
+    by_urdf = _ARM.format(more='urdf = "arm.urdf"', dh="").encode()
+    lines, kinds = lines_for("robot"), [dh, dh + _MORE.encode(), by_urdf]
+    # A damaged URDF is read wherever the robot file that names it is.
+    drawn = [
+        *lines_for("URDF"),
+        *_in_place_of("{}", "{@}/robot.toml", lines),
     ]
-    every = [*_logs(work), *robots, *_documents(work, arm["model.json"])]
-    return [replace(target, beside={**arm, **target.beside}) for target in every]
+    urdfs, beside = [arm["arm.urdf"]], {**arm, "robot.toml": by_urdf}
+    own = [sample["robot.toml"]]
+    return [
+        Target("robot.toml", "damaged.toml", kinds, TOML, lines, arm),
+        Target("robot.toml, trials", "damaged.toml", own, TOML, lines, sample),
+        Target("URDF", "arm.urdf", urdfs, XML, drawn, beside),
+    ]
 
 
 def _data(rows: int = 60) -> formats.Data:
@@ -165,24 +158,57 @@ def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
     """
     robot, log = work / "robot.toml", formats.csv_own(work / "log.csv", _data(rows))
     robot.write_text(_ARM.format(more="", dh=_DH))
-    code, said, _ = answer(
-        ["simultaneous", str(log), "-r", str(robot), "-o", f"{work}/model.json"]
-    )
-    if code not in (0, 1):
-        raise RuntimeError(said)
+    model = work / "model.json"
+    _done("simultaneous", str(log), "-r", str(robot), "-o", str(model))
     short = formats.csv_own(work / "short.csv", _data()).read_bytes()
-    model = read_parameters(work / "model.json")
-    for joint in model.stages.friction.joints.values():  # most of the file
-        joint.covariance = []
+    # A log that is held out is not one of those that are fitted.
+    other = formats.csv_own(work / "other.csv", _data(70)).read_bytes()
+    logs = dict.fromkeys(_TRIALS, short) | {"held_out": other}
     return {
+        **logs,
         "robot.toml": robot.read_bytes(),
-        "log.csv": short,
-        "model.json": encode(model).encode(),
+        "model.json": _light(model),
         "arm.urdf": _URDF.encode(),
+        "folder/inertia/log": short,
     }
 
 
-def _logs(work: Path) -> list[Target]:
+def _sample(work: Path) -> dict[str, bytes]:
+    """The sample robot of one joint, with a log for each stage."""
+    logs = {
+        name: (_SAMPLE / f"{path}.parquet").read_bytes()
+        for name, path in _TRIALS.items()
+    }
+    return {
+        **logs,
+        "robot.toml": (_SAMPLE / "robot.toml").read_bytes(),
+        "model.json": _light(_SAMPLE / "golden.json"),
+        "arm.urdf": _URDF.encode(),
+        "folder/gravity/log": logs["gravity"],
+    }
+
+
+def _light(path: Path) -> bytes:
+    """Return a parameter file with few digits in friction's covariances, most of its
+    bytes.
+    """
+    model = read_parameters(path)
+    for joint in model.stages.friction.joints.values():
+        joint.covariance = [
+            [float(f"{value:.1g}") if j == k else 0.0 for j, value in enumerate(row)]
+            for k, row in enumerate(joint.covariance)
+        ]
+    return encode(model).encode()
+
+
+def _done(*line: str) -> None:
+    """Run a command that has to work."""
+    code, said, _ = answer(line, 60.0)
+    if code not in (0, 1):
+        raise RuntimeError(said)
+
+
+def _logs(work: Path, arm: Mapping[str, bytes]) -> list[Target]:
     def made(name: str, *writers: formats.Write) -> list[bytes]:
         folder = work / name
         folder.mkdir()
@@ -210,18 +236,23 @@ def _logs(work: Path) -> list[Target]:
         ),
         "CSV": (
             made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka),
-            TEXT,
+            CSV,
         ),
         "ROS 1 bag": (made("rosbag1", formats.rosbag1), BAG),
         "ROS 2 bag: SQLite": (bag, SQLITE),
     }
+    lines = lines_for("log")
     found = [
-        Target(name, "log", seeds, how, _LOG) for name, (seeds, how) in logs.items()
+        Target(name, LOG, seeds, how, lines, arm) for name, (seeds, how) in logs.items()
     ]
     yaml = [(work / "rosbag2" / "0" / "metadata.yaml").read_bytes()]
-    lines, name = _lines(_READ.replace("{}", "{@}/bag")), "ROS 2 bag: metadata.yaml"
-    beside = {"bag/0.db3": bag[0]}
-    return [*found, Target(name, "bag/metadata.yaml", yaml, TEXT, lines, beside)]
+    name, bag_lines = "ROS 2 bag: metadata.yaml", _in_place_of("{}", "{@}/bag", lines)
+    beside = {**arm, "bag/0.db3": bag[0]}
+    return [*found, Target(name, "bag/metadata.yaml", yaml, TEXT, bag_lines, beside)]
+
+
+def _in_place_of(word: str, other: str, lines: Sequence[Line]) -> list[Line]:
+    return [tuple(x.replace(word, other) for x in line) for line in lines]
 
 
 def _with_imus(path: Path, data: formats.Data) -> Path:
@@ -263,32 +294,58 @@ def _episodes(path: Path, data: formats.Data) -> Path:
     return path
 
 
-def _documents(work: Path, model: bytes) -> list[Target]:
+def _documents(
+    work: Path, arm: Mapping[str, bytes], sample: Mapping[str, bytes]
+) -> list[Target]:
     path, used = work / "torques.parquet", FileId(path="model.json", sha256="0" * 64)
     table = pq.read_table(write_torques(path))
     pq.write_table(table.take(list(range(0, len(table), 40))), path)
     torques, full = path.read_bytes(), encode(full_file()).encode()
     prediction = encode(prediction_file()).encode().replace(b"4000", b"100")
-    more = {"prediction.json": prediction, "torques.parquet": torques}
-    documents: dict[str, tuple[list[bytes], list[Line], dict[str, bytes]]] = {
-        "parameters": ([full, model], _PARAMETERS, {"sound.json": full}),
-        "prediction": ([prediction], [*_REPORT, *_BOTH], more),
+    more = {**arm, "prediction.json": prediction, "torques.parquet": torques}
+    report = lines_for("document")
+    report += [(*line, "--torques", "{@}/torques.parquet") for line in report]
+    own = lines_for("parameters")
+    driven = _driven(work)
+    kinds: dict[str, tuple[list[bytes], list[Line], Mapping[str, bytes]]] = {
+        "parameters": ([full, arm["model.json"]], own, more),
+        "parameters, trials": ([sample["model.json"]], own, {**more, **sample}),
+        "plan": ([encode(plan_file()).encode()], lines_for("plan"), more),
+        "drive": ([driven["drive.json"]], lines_for("drive"), {**more, **driven}),
     }
     others = {
         "diagnosis": diagnosis_file(),
         "payload": payload_file(used),
-        "plan": plan_file(),
+        "trend": _trend(used),
     }
-    for name, content in (others | {"trend": _trend(used)}).items():
-        documents[name] = [encode(content).encode()], _REPORT, {}
-    found = [
-        Target(name, "file.json", seeds, JSON, lines, beside)
-        for name, (seeds, lines, beside) in documents.items()
+    kinds["prediction"] = [prediction], [], more
+    for name, content in others.items():
+        kinds[name] = [encode(content).encode()], [], more
+    reported = [
+        Target(name, "file.json", seeds, JSON, [*lines, *report], beside)
+        for name, (seeds, lines, beside) in kinds.items()
     ]
-    return [
-        *found,
-        Target("torques", "torques.parquet", [torques], PARQUET, _TORQUES, more),
-    ]
+    by_prediction = _in_place_of(
+        "{@}/model.json", "{@}/prediction.json", lines_for("torques")
+    )
+    name = "torques.parquet"
+    return [*reported, Target("torques", name, [torques], PARQUET, by_prediction, more)]
+
+
+def _driven(work: Path) -> dict[str, bytes]:
+    """A joint with its controller: a robot file, a log with commands, a drive."""
+    folder = work / "driven"
+    folder.mkdir()
+    robot = bench(folder)
+    log, model = folder / "log_0.parquet", folder / "inertia.json"
+    drive = folder / "drive.json"
+    _done("drive", str(log), *robot, "-p", str(model), "-o", str(drive))
+    return {
+        "robot.toml": (folder / "robot.toml").read_bytes(),
+        "log": log.read_bytes(),
+        "model.json": model.read_bytes(),
+        "drive.json": drive.read_bytes(),
+    }
 
 
 def _trend(used: FileId) -> TrendFile:

@@ -202,5 +202,5 @@ def test_logs_and_stages_that_lack_something_are_refused(
     robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):
         identify_friction(validation, robot, options=FrictionOptions())
-    with pytest.raises(QualityError, match="no log moves a joint before an IMU"):
+    with pytest.raises(QualityError, match="no log moves a joint before this IMU"):
         calibrate_imus(six_joint.logs("friction")[:1], robot, options=MotionOptions())

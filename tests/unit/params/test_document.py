@@ -296,7 +296,7 @@ WRONG = [
     (f"{ELBOW}.positive", [[1.0]], "must have 2 rows of 1"),
     (f"{ELBOW}.sign_width", 0, "must be positive"),
     (f"{ELBOW}.speed_range", [2.0, 1.0], "must be two numbers"),
-    (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 or 4"),
+    (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 rows"),
     ("stages.gravity.covariance", [[1.0, 2.0]], "must be square with 1"),
     ("stages.gravity.parameters.0.std_error", -1, "must not be negative"),
     (

@@ -12,6 +12,7 @@ import pytest
 from seqid_cli.errors import InputError
 from seqid_cli.logs.tables import columns
 from seqid_cli.logs.tables.parquet_footer import FooterError, values_by_column
+from tests.studies.fuzz.thrift import Value, decoded, encoded
 
 TABLE = pa.table(
     {
@@ -22,6 +23,11 @@ TABLE = pa.table(
         "flag": [True, False] * 500,
     }
 )
+
+# A column whose metadata is an empty list.
+_COLUMN = Value(12, {3: Value(9, [], 5)})
+_GROUP = Value(12, {1: Value(9, [_COLUMN], 12)})
+OF_ANOTHER_TYPE = encoded(Value(12, {4: Value(9, [_GROUP], 12)}))
 
 
 @pytest.fixture
@@ -78,6 +84,7 @@ def test_damaged_footers_are_refused_or_read(path: Path) -> None:
         (b"\x1e\x00", "unknown kind"),
         (b"\x18\x05ab", "ends within"),
         (b"\x16\x02\x00", "a field is missing"),
+        (OF_ANOTHER_TYPE, "a field is missing or of another type"),
     ],
 )
 def test_what_is_wrong_with_a_footer_is_said(
@@ -110,9 +117,28 @@ def test_arrow_makes_no_object_for_a_column_before_its_footer_is_read(
 
 def test_few_bytes_that_stand_for_many_values_are_refused(tmp_path: Path) -> None:
     sink = io.BytesIO()
-    lists = pa.array([[0.0] * 60_000] * 3000, type=pa.list_(pa.float64()))
+    values = pa.array(np.zeros(180_000_000, dtype=np.int8))
+    offsets = np.arange(0, 180_000_001, 60_000, dtype=np.int32)
+    lists = pa.ListArray.from_arrays(offsets, values)
     pq.write_table(pa.table({"state": lists}), sink, compression="zstd")
     path = tmp_path / "log.parquet"
     path.write_bytes(sink.getvalue())
     with pytest.raises(InputError, match="times as many"):
         columns.opened_table(path)
+
+
+def test_footers_are_damaged_field_by_field(path: Path) -> None:
+    """What the study writes is what it has read, where it changes nothing."""
+    raw = path.read_bytes()
+    footer = raw[footer_of(raw) : -8]
+    tree, end = decoded(footer)
+    assert end == len(footer)
+    assert encoded(tree) == footer
+
+
+def test_a_nan_of_any_pattern_is_a_missing_value(tmp_path: Path) -> None:
+    signalling = np.array([0x7FF0000000000001], dtype=np.uint64).view(np.float64)
+    table = pa.table({"t": np.concatenate([[0.0, 1.0], signalling])})
+    with np.errstate(all="raise"):
+        read = columns.numbers("log", table, "t") / 2.0
+    np.testing.assert_array_equal(read, [0.0, 0.5, np.nan])

@@ -126,6 +126,8 @@ def test_a_mistake_gets_its_message_and_the_way_out(rig: Rig, name: str) -> None
 
 
 FOUND = sorted((Path(run.__file__).parent / "found").iterdir())
+# Commands that take long; the study runs them.
+LONG = frozenset({"run", "refine", "diagnose", "plan"})
 # Targets whose name is not the first word of the names in the folder.
 TARGETS = {
     "mcap": "MCAP, CDR",
@@ -148,7 +150,9 @@ def test_what_was_found_is_answered(
     target = made[TARGETS.get(word, word)]
     run.lay_out(target, tmp_path)
     (tmp_path / target.file).write_bytes(path.read_bytes())
-    for line in dict.fromkeys(map(tuple, target.lines)):
+    for line in target.lines:
+        if line[0] in LONG:
+            continue
         _, said, why = answer(run.filled(line, target, tmp_path))
         assert not why, f"{' '.join(line)}: {said}"
 
@@ -158,8 +162,8 @@ def test_fresh_inputs_are_answered(made: Mapping[str, Target], tmp_path: Path) -
     for number, target in enumerate(made.values()):
         folder, tally = tmp_path / str(number), run.Tally()
         folder.mkdir()
-        run.fuzz(target, folder, 25, 7, tally)
+        run.fuzz(target, folder, 10, 7, tally)
         assert not tally.finds, (
             f"{target.name}: {tally.finds[0].line}: {tally.finds[0].said}"
         )
-        assert sum(tally.codes.values()) == 25
+        assert sum(tally.codes.values()) == 10

@@ -32,7 +32,8 @@ HEADER = (
     "slowest, s",
     "peak, MiB",
 )
-ROUND = 100  # inputs of a target before the next has its turn
+# Inputs of a target before the next has its turn, and where time is short.
+ROUND, SHORT_ROUND = 100, 10
 
 
 def main() -> int:
@@ -40,9 +41,7 @@ def main() -> int:
         prog="python -m tests.studies.fuzz", description=__doc__
     )
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
-    parser.add_argument(
-        "--seconds", type=float, default=float("inf"), help="of CPU time, in all"
-    )
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="kinds with this in their name")
     parser.add_argument(
@@ -58,19 +57,23 @@ def main() -> int:
         made = [target for target in targets(Path(name)) if chosen.only in target.name]
         corpus = chosen.keep / "corpus"
         tallies = {target.name: Tally(kept=_read(corpus, target)) for target in made}
-        done, begun = 0, time.monotonic()
-        while done < chosen.count and time.monotonic() - begun < chosen.seconds:
+        turn = ROUND if chosen.seconds == float("inf") else SHORT_ROUND
+        end = time.monotonic() + chosen.seconds
+        for done in range(0, chosen.count, turn):
             for number, target in enumerate(made):
+                if time.monotonic() > end:
+                    break
                 folder, tally = Path(name) / f"target_{number}", tallies[target.name]
                 folder.mkdir(exist_ok=True)
                 parts = repr((target.name, chosen.seed, done)).encode()
                 seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
                 before = len(tally.outcomes)
-                fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
+                fuzz(target, folder, min(turn, chosen.count - done), seed, tally)
                 _keep(target, tally.outcomes[before:], chosen.keep)
                 told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
                 sys.stderr.write(f"{target.name}: {told}\n")
-            done += ROUND
+            if time.monotonic() > end:
+                break
     show("evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if any(tally.finds for tally in tallies.values()) else 0
 

@@ -46,7 +46,8 @@ def groundless(document: Any) -> Iterator[str]:
             stage = log.get("stage", "")
             samples[stage] = samples.get(stage, 0) + log["samples"]
         for name, stage in document["stages"].items():
-            is_good = bool(stage) and any(x["good"] for x in stage.get("verdicts", []))
+            verdicts = stage.get("verdicts", []) if isinstance(stage, dict) else []
+            is_good = any(verdict["good"] for verdict in verdicts)
             if is_good and not any(samples.values()):
                 yield f"{name} is good without a sample"
     if schema.startswith("seqid/prediction"):

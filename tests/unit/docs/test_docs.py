@@ -301,7 +301,7 @@ WORKFLOW = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="ut
 def test_the_workflow_makes_targets_that_there_are() -> None:
     targets = re.findall(r"run: make ([\w-]+)", WORKFLOW)
     always = {"lint", "types", "test-all", "golden", "docs-test"}
-    assert set(targets) == always | {"locked", "test-oldest", "audit", "fuzz"}
+    assert set(targets) == always | {"locked", "test-oldest", "audit", "sbom", "fuzz"}
     for target in targets:
         made_by(target)
 

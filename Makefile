@@ -7,6 +7,7 @@ RIGS ?= one_joint two_joint six_joint
 OUT ?= out
 CACHE ?= $(OUT)/studies
 FUZZ_SECONDS ?= 60
+MUTANTS ?= 12
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -54,7 +55,7 @@ locked: $(LOCK) | $(BIN)/python ## install what is locked, by its hashes, instea
 $(TOOLS): | $(BIN)/python
 	$(BIN)/python -m venv $(@D)
 	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check \
-		uv pip-audit cyclonedx-bom pip-licenses
+		uv pip-audit cyclonedx-bom pip-licenses cosmic-ray
 	touch $@
 
 .PHONY: lock audit
@@ -155,6 +156,10 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 study-trust: $(DEV) ## damaged files, two hours of log, into docs/evidence/damage.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.soak --write
+
+.PHONY: mutants
+mutants: $(DEV) $(TOOLS) ## change the modules that decide, MUTANTS places in each: do their fast tests notice (minutes to hours)
+	$(dir $(TOOLS))bin/python tests/studies/mutants.py --python $(BIN)/python --each $(MUTANTS)
 
 # ---- the documents as a site
 

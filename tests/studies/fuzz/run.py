@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.studies.fuzz.answers import answer
+from tests.studies.fuzz.answers import CPU_S, answer
 from tests.studies.fuzz.claims import broken
 from tests.studies.fuzz.mutations import mutated
 from tests.studies.fuzz.targets import Target
@@ -29,6 +29,8 @@ WALL_S, PEAK_KIB, SLICE = 600, 1 << 20, 250
 SPACE = 4 << 30
 # answers of one kind, bytes of an input that is damaged further
 ANSWERS, LONGEST = 2000, 200_000
+# CPU seconds of commands that search, of which sound files take some ten.
+PATIENCE_S = {"plan": 60.0, "run": 60.0, "refine": 60.0}
 _DETAIL = re.compile(r"[0-9]\S*|'[^']*'|\"[^\"]*\"|\\\S*|/\S*")
 Answer = tuple[int, str]  # exit code, and the words of its message
 
@@ -180,7 +182,7 @@ def _slice(
 
 def _one(folder: Path, line: Sequence[str]) -> Outcome:
     begun = time.process_time()
-    code, said, why = answer(line)
+    code, said, why = answer(line, PATIENCE_S.get(line[0], CPU_S))
     spent = time.process_time() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     if peak > PEAK_KIB:

@@ -174,6 +174,15 @@ def plan(
             "--joint", metavar="JOINT", help="Of discriminate: where they are."
         ),
     ] = None,
+    bandwidth_hz: Annotated[
+        float,
+        typer.Option(
+            "--bandwidth",
+            metavar="HZ",
+            callback=number_check(is_positive, "a positive frequency"),
+            help="Of drive: that of the position loops, about.",
+        ),
+    ] = PlanOptions.bandwidth_hz,
     load_kg: Annotated[
         float,
         typer.Option(
@@ -242,6 +251,7 @@ standard errors they will give.
             if between
             else (),
             joint=joint,
+            bandwidth_hz=bandwidth_hz,
             load_kg=load_kg,
             keep_out=tuple(_box(text) for text in keep_out or ()),
             workspace=None if workspace is None else _box(workspace),

@@ -37,7 +37,7 @@ from seqid_cli.drive.row_errors import row_errors
 from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.search import Solution, first_names, refined, search
 from seqid_cli.drive.settings import DriveSettings, TermSettings
-from seqid_cli.drive.signals import DriveSignals
+from seqid_cli.drive.signals import DriveSignals, courses_of_all
 from seqid_cli.typing import Mask
 
 FEEDFORWARD = (VELOCITY_FEEDFORWARD, ACCELERATION_FEEDFORWARD)
@@ -65,7 +65,7 @@ def fit_joint(
     settings : DriveSettings
     """
     fits = []
-    for course in logs[0].commands:
+    for course in courses_of_all(logs):
         fit = _fit_course(logs, narrow, joint, course, settings)
         if fit is not None:
             fits.append(fit)

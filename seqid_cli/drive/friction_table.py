@@ -1,22 +1,21 @@
 """Friction of one joint for either direction, on a grid of positions and speeds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from seqid_cli.drive.signals import DriveSignals
 from seqid_cli.logs.raw import Rows
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.typing import Array
+
+# Torque (B,) N m that effects add at positions, speeds and a direction of motion.
+AddedFriction = Callable[[Array, Array, float], Array]
 
 # Widths of the sign over which friction changes sides: beyond them it is whole.
 FULL_WIDTHS = 5.0
 POSITIONS = 33  # of the friction tables
 SPEEDS = 65
-# Beyond the positions and speeds of the log, as a share of them, to which friction is
-# tabled: a simulated joint overshoots where the real one did not.
-MARGIN = 0.2
 
 
 @dataclass
@@ -33,24 +32,30 @@ class FrictionTable:
 
     @classmethod
     def of(
-        cls, surface: FrictionSurface | None, low: float, high: float, fastest: float
+        cls,
+        surface: FrictionSurface | None,
+        low: float,
+        high: float,
+        fastest: float,
+        added: AddedFriction | None = None,
     ) -> "FrictionTable":
-        """Fill the table over some positions, up to a speed."""
+        """Fill the table over some positions, up to a speed; `added` is by effects."""
         positions = np.linspace(low, high, POSITIONS)
         speeds = np.linspace(0.0, fastest, SPEEDS)
-        if surface is None:
-            nothing = np.zeros((POSITIONS, SPEEDS))
-            return cls(positions, speeds, nothing, nothing)
-        full = np.maximum(speeds, FULL_WIDTHS * surface.sign_width)
-        q = np.repeat(positions, SPEEDS)
-        v = np.tile(full, POSITIONS)
         shape = (POSITIONS, SPEEDS)
-        return cls(
-            positions,
-            speeds,
-            surface.torque(q, v).reshape(shape),
-            surface.torque(q, -v).reshape(shape),
-        )
+        q = np.repeat(positions, SPEEDS)
+        forward = np.zeros(len(q))
+        backward = np.zeros(len(q))
+        if surface is not None:
+            full = np.maximum(speeds, FULL_WIDTHS * surface.sign_width)
+            v = np.tile(full, POSITIONS)
+            forward = surface.torque(q, v)
+            backward = surface.torque(q, -v)
+        if added is not None:
+            v = np.tile(speeds, POSITIONS)
+            forward = forward + added(q, v, 1.0)
+            backward = backward + added(q, -v, -1.0)
+        return cls(positions, speeds, forward.reshape(shape), backward.reshape(shape))
 
     def limits(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return the least and the largest friction (B,) N m."""
@@ -65,21 +70,6 @@ class FrictionTable:
         low = at(self.backward)
         high = at(self.forward)
         return np.minimum(low, high), np.maximum(low, high)
-
-
-def table_for(
-    surface: FrictionSurface | None, logs: Sequence[DriveSignals], joint: int
-) -> FrictionTable:
-    """Fill the table of a joint for the range of some logs, and a margin."""
-    q = np.concatenate([log.q[:, joint] for log in logs])
-    fastest = max(float(np.abs(log.dq[:, joint]).max()) for log in logs)
-    margin = MARGIN * max(float(np.ptp(q)), 1e-3)
-    return FrictionTable.of(
-        surface,
-        float(q.min()) - margin,
-        float(q.max()) + margin,
-        (1.0 + 2.0 * MARGIN) * max(fastest, 1e-3),
-    )
 
 
 def _place(grid: Array, values: Array) -> tuple[Rows, Array]:

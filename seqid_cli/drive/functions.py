@@ -44,19 +44,25 @@ def drive(
     _check_model(inputs)
 
     # Imported here because they import numpy: a mistake in the arguments is told first.
+    from seqid_cli.drive.checks import (
+        fault_of_command,
+        has_command,
+        joints_beside,
+        remarks_on_commands,
+    )
+    from seqid_cli.drive.effects import arm_effects
     from seqid_cli.drive.fit import fit_joint
     from seqid_cli.drive.nominal import nominal_stages
     from seqid_cli.drive.result import DrivenArm, drive_file, explains
     from seqid_cli.drive.rollouts.joints import fit_all_windows
-    from seqid_cli.drive.signals import faults_of_command, signals_of
+    from seqid_cli.drive.signals import signals_of
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.model.torque import TorqueModel
 
     log_set = LogSet.of(inputs, imus=False)
     recordings = list(log_set)
-    with_commands = logs_with_commands(recordings)
     stages = nominal_stages(inputs.robot) if nominal else inputs.stages
-    model = TorqueModel.from_stages(stages, inputs.robot)
+    effects = arm_effects(stages, inputs.robot)
+    with_commands = [effects.restored(log) for log in logs_with_commands(recordings)]
     use_torque = not options.no_torque and all(
         log.tau is not None for log in with_commands
     )
@@ -64,10 +70,11 @@ def drive(
         [
             signals_of(
                 log,
-                model,
+                effects.model,
                 cutoff_hz=options.cutoff_hz,
                 use_torque=use_torque,
                 share=share,
+                effects=effects,
             )
             for log in with_commands
         ]
@@ -76,9 +83,18 @@ def drive(
 
     faults = {}
     by_rows = {}
+    remarks = [
+        *effects.left_out,
+        *joints_beside(inputs.logs, inputs.robot),
+        *remarks_on_commands(wide, recordings, inputs.robot),
+    ]
+    n_commanded = sum(has_command(wide, j) for j in range(inputs.robot.n))
     for j, name in enumerate(inputs.robot.joint_names):
-        fault = faults_of_command(wide, j)
-        if fault:
+        fault = fault_of_command(wide, j)
+        if n_commanded and not has_command(wide, j):
+            # Nothing was asked of it: a gripper, say, that another bus drives.
+            remarks.append(f"{name} is left out: {fault}")
+        elif fault:
             faults[name] = fault
         else:
             by_rows[j] = fit_joint(wide, narrow, j, settings)
@@ -90,14 +106,20 @@ def drive(
         }
         by_windows = fit_all_windows(
             wide,
-            model,
+            effects.model,
             usable,
             settings,
+            effects=effects,
             nominal=nominal,
             same_servos=options.same_servos,
         )
     arm = DrivenArm(
-        inputs=inputs, stages=stages, logs=wide, log_set=log_set, nominal=nominal
+        inputs=inputs,
+        stages=stages,
+        logs=wide,
+        log_set=log_set,
+        nominal=nominal,
+        remarks=remarks,
     )
     file = drive_file(by_rows, by_windows, faults, arm, settings)
     if inputs.output is not None:

@@ -54,29 +54,47 @@ def replay(
     _check_complete(drive, inputs, name)
 
     # Imported here because they import numpy: a mistake in the arguments is told first.
+    from seqid_cli.drive.effects import arm_effects
     from seqid_cli.drive.functions import logs_with_commands
     from seqid_cli.drive.signals import signals_of
-    from seqid_cli.drive.windows import closed_loop, joints_of, replayed, windows_of
+    from seqid_cli.drive.windows import (
+        closed_loop,
+        joints_of,
+        replayed,
+        step_responses,
+        windows_of,
+    )
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.model.torque import TorqueModel
 
     log_set = LogSet.of(inputs, imus=False)
-    recordings = logs_with_commands(list(log_set))
-    model = TorqueModel.from_stages(drive.stages, inputs.robot)
+    effects = arm_effects(drive.stages, inputs.robot)
+    recordings = [effects.restored(log) for log in logs_with_commands(list(log_set))]
     has_torque = all(log.tau is not None for log in recordings)
     signals = [
-        signals_of(log, model, cutoff_hz=options.cutoff_hz, use_torque=has_torque)
+        signals_of(
+            log,
+            effects.model,
+            cutoff_hz=options.cutoff_hz,
+            use_torque=has_torque,
+            effects=effects,
+        )
         for log in recordings
     ]
-    windows = windows_of(signals, options.window_s)
+    driven = [
+        j for j, name in enumerate(inputs.robot.joint_names) if name in drive.joints
+    ]
+    windows = windows_of(signals, options.window_s, driven)
     if not windows:
         raise InputError(
-            f"no {options.window_s:g} s in which every joint has position and command",
+            f"no {options.window_s:g} s in which every joint with a controller has"
+            " position and command",
             hint="Record longer, or give a shorter --window.",
             where=str(recordings[0].path),
         )
-    results = replayed(closed_loop(drive, model, signals), drive, windows)
-    joints = dict(joints_of(drive, results))
+    loop = closed_loop(drive, effects.model, signals, effects)
+    results = replayed(loop, drive, windows)
+    steps = step_responses(loop, drive, windows)
+    joints = dict(joints_of(drive, results, steps))
     of_joints = [_verdict(name, joint) for name, joint in joints.items()]
     level = worst_level(of_joints) or "poor"
     behind = [verdict.joint for verdict in of_joints if not verdict.good]
@@ -98,7 +116,11 @@ def replay(
             *log_set.verdicts(),
             *of_joints,
         ],
-        notes=[*log_set.notes(), *_notes(drive, log_set.inputs())],
+        notes=[
+            *log_set.notes(),
+            *_notes(drive, name, log_set.inputs()),
+            *effects.left_out,
+        ],
     )
     if inputs.output is not None:
         sources = [*inputs.sources]
@@ -129,10 +151,9 @@ def _check_complete(drive: DriveFile, inputs: Inputs, name: str) -> None:
             where=name,
             hint="Run seqid drive with the result of seqid inertia or simultaneous.",
         )
-    missing = [joint for joint in inputs.robot.joint_names if joint not in drive.joints]
-    if missing:
+    if not drive.joints:
         raise ConfigError(
-            f"has no controller of joint {', '.join(missing)}",
+            f"has no controller of joint {', '.join(inputs.robot.joint_names)}",
             where=name,
             hint="Its verdicts say why; record what they ask for.",
         )
@@ -151,13 +172,15 @@ def _verdict(name: str, joint: ReplayJoint) -> Verdict:
     return Verdict(joint=name, good=False, reason=reason)
 
 
-def _notes(drive: DriveFile, logs: Sequence[InputLog]) -> list[str]:
+def _notes(drive: DriveFile, drive_name: str, logs: Sequence[InputLog]) -> list[str]:
     """Say what a reader must know besides."""
     fitted = {log.sha256 for log in drive.inputs}
     notes = []
     if any(log.sha256 in fitted for log in logs):
         notes.append("some of these logs were fitted: the errors are no forecast")
-    if drive.stages.effects:
-        names = dict.fromkeys(effect.effect for effect in drive.stages.effects)
-        notes.append(f"effects are not simulated: {', '.join(names)}")
+    without = [name for name in drive.robot.joints if name not in drive.joints]
+    if without:
+        notes.append(
+            f"{', '.join(without)}: no controller in {drive_name}, moves as measured"
+        )
     return notes

@@ -18,7 +18,7 @@ from seqid_cli.drive.equations import (
 from seqid_cli.drive.rollouts.fit import WindowFit
 from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveSettings, DriveVerdictSettings
-from seqid_cli.drive.signals import DriveSignals
+from seqid_cli.drive.signals import DriveSignals, courses_of_all
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.params.document import head, robot_id, used_settings, worst_level
@@ -62,8 +62,8 @@ NO_SCALE = (
 )
 PRIOR_ALONE = "these logs add little to the guess: record larger and faster motion"
 VISCOUS_TOO = (
-    "holds viscous friction as well: without a torque or a commanded velocity the two"
-    " are one"
+    "it holds viscous friction as well, which the model lacks: log a torque or a"
+    " commanded velocity, or give a model with friction (seqid friction)"
 )
 # Of the error that the fit by rows leaves in held-out windows.
 BETTER = 0.99
@@ -79,7 +79,8 @@ INTERVAL = 1.96
 class DrivenArm:
     """The arm whose controllers were fitted, and its logs.
 
-    `nominal`: `stages` are those of the URDF's inertials alone.
+    `nominal`: `stages` are those of the URDF's inertials alone. `remarks`: what is to
+    be said of joints and commands in these logs.
     """
 
     inputs: Inputs
@@ -87,6 +88,7 @@ class DrivenArm:
     logs: Sequence[DriveSignals]
     log_set: LogSet
     nominal: bool
+    remarks: Sequence[str] = ()
 
 
 def explains(fit: JointFit, limits: DriveVerdictSettings) -> bool:
@@ -133,7 +135,10 @@ def drive_file(
             slides=arm.inputs.robot.joints[j].prismatic,
             measured=arm.logs[0].measured,
             nominal=arm.nominal,
-            course=next(iter(arm.logs[0].commands)),
+            course=courses_of_all(arm.logs)[0],
+            has_friction=(
+                arm.stages.friction is not None and name in arm.stages.friction.joints
+            ),
         )
         joints[name] = described.joint()
         verdicts.append(_verdict(name, described, settings.verdict))
@@ -149,7 +154,11 @@ def drive_file(
         stages=arm.stages,
         cutoff_hz=arm.logs[0].cutoff_hz,
         verdicts=[_verdict_of_all(verdicts), *arm.log_set.verdicts(), *verdicts],
-        notes=[*arm.log_set.notes(), *_notes(joints, common, arm)],
+        notes=[
+            *arm.log_set.notes(),
+            *arm.remarks,
+            *_notes(joints, common, arm),
+        ],
         effective_settings=used_settings(settings),
     )
 
@@ -169,6 +178,7 @@ class _Described:
     measured: bool
     nominal: bool
     course: str
+    has_friction: bool = True  # whether the model has friction of this joint
 
     def joint(self) -> JointDrive:
         """Return the joint's part of the document."""
@@ -212,10 +222,22 @@ class _Described:
         return [
             _delay(fit),
             _lag(fit, measured=self.measured),
-            *(_part(fit, name, slides=self.slides) for name in PARTS),
+            *(self._part(fit, name) for name in PARTS),
             _torque_limit(fit, slides=self.slides),
             _velocity_limit(fit, slides=self.slides),
         ]
+
+    def _part(self, fit: JointFit, name: str) -> DriveParameter:
+        part = _part(fit, name, slides=self.slides)
+        if name == DERIVATIVE and part.state == "identified" and self._holds_viscous:
+            part.state = "not_shown"
+            part.reason = VISCOUS_TOO
+        return part
+
+    @property
+    def _holds_viscous(self) -> bool:
+        """True where damping of the controller and of friction are one number."""
+        return not self.measured and not self.has_friction
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""
@@ -242,8 +264,6 @@ class _Described:
             if name == "offset":
                 continue
             reason = ""
-            if name == DERIVATIVE and "viscous" not in fit.values and not self.measured:
-                reason = VISCOUS_TOO
             before = by_name.get(name)
             if name == "command_delay" and before is not None:
                 reason = before.reason
@@ -254,6 +274,9 @@ class _Described:
             if name in fit.open or has_no_scale:
                 parameter.state = "not_shown"
                 parameter.reason = NO_SCALE if name in SCALED else PRIOR_ALONE
+            elif name == DERIVATIVE and self._holds_viscous:
+                parameter.state = "not_shown"
+                parameter.reason = VISCOUS_TOO
             by_name[name] = parameter
         return list(by_name.values())
 
@@ -459,7 +482,6 @@ def _verdict_of_all(of_joints: Sequence[Verdict]) -> Verdict:
 def _notes(
     joints: Mapping[str, JointDrive], common: DriveParameter | None, arm: DrivenArm
 ) -> list[str]:
-    inputs = arm.inputs
     notes = []
     if arm.nominal:
         notes.append(
@@ -468,10 +490,4 @@ def _notes(
         )
     if joints and common is None:
         notes.append("the joints' command delays differ by more than their errors")
-    if inputs.stages.effects:
-        names = dict.fromkeys(effect.effect for effect in inputs.stages.effects)
-        notes.append(
-            "effects of the model do not take part in the drive's fit:"
-            f" {', '.join(names)}"
-        )
     return notes

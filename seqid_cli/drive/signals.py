@@ -11,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.drive.effects import ArmEffects
+from seqid_cli.drive.friction_table import AddedFriction, FrictionTable
 from seqid_cli.logs.raw import Rows
 from seqid_cli.logs.recording import CommandForm, Recording
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
@@ -27,11 +30,12 @@ SAMPLES_PER_PERIOD = 10.0
 
 # The cut-off is not higher than this, above which torque is mostly noise.
 HIGHEST_HZ = 25.0
-# Of a joint's travel: no drive follows as closely, so that such a command is an echo.
-ECHO = 1e-5
 # Samples about a place from which values there are interpolated: with fewer a delay
 # would damp what is at the upper end of the band.
 KNOTS = np.arange(-3, 5)
+# Beyond the positions and speeds of the log, as a share of them, to which friction is
+# tabled: a simulated joint overshoots where the real one did not.
+MARGIN = 0.2
 # A joint stands that has moved by less than so many steps of its encoder for so long.
 STANDS_S = 0.1
 STANDS_STEPS = 1.5
@@ -109,6 +113,7 @@ def signals_of(
     cutoff_hz: float | None = None,
     use_torque: bool = True,
     share: float = 1.0,
+    effects: ArmEffects | None = None,
 ) -> DriveSignals:
     """Filter a log.
 
@@ -124,6 +129,8 @@ def signals_of(
         Whether a measured torque counts.
     share : float
         Of the cut-off that is taken, to see what the choice does to a fit.
+    effects : ArmEffects, optional
+        What the arm's file has beside its model.
     """
     assert log.command is not None
     rate_hz = log.rate_hz
@@ -144,6 +151,9 @@ def signals_of(
     else:
         friction = lowpass(model.friction(q, dq), log.valid)
         torque = model.rigid(q, dq, ddq) + friction
+        if effects is not None:
+            added = lowpass(effects.along(q, dq, torque - friction), log.valid)
+            torque = torque + added + effects.armature * ddq
 
     has_command = np.isfinite(log.command)
     settled = shrink(log.valid, 2 * lowpass.settling)
@@ -234,8 +244,11 @@ def _courses(log: Recording, commands: tuple[Array, Array] | None) -> dict[str, 
     """Return the command (N, n) as it may run between two stamps, by name."""
     assert log.command is not None
     if commands is None:
-        name = "interpolated" if log.command_form == "sampled" else "held"
-        return {name: log.command}
+        courses = {"interpolated": log.command}
+        if log.command_form != "sampled":
+            # It does not change: both are one.
+            courses = {"held": log.command} | courses
+        return courses
     times, sent = commands
     lines = np.stack([np.interp(log.t, times, column) for column in sent.T], axis=1)
     present = np.isfinite(log.command)
@@ -293,28 +306,29 @@ def shifted(values: Array, samples: float) -> Array:
     return out
 
 
-def faults_of_command(logs: Sequence[DriveSignals], joint: int) -> str:
-    """Say why a joint's commands show no controller; empty where they may."""
-    commands = [log.raw.command for log in logs]
-    columns = [command[:, joint] for command in commands if command is not None]
-    if not any(np.isfinite(column).any() for column in columns):
-        return "the logs hold no command of it: log <joint>.command"
-    if all(np.ptp(column[np.isfinite(column)]) == 0.0 for column in columns):
-        return "its command never changes: move it"
-    moves = any((log.moving[:, joint] & log.usable[:, joint]).any() for log in logs)
-    if not moves:
-        return "it does not move: move it by its command"
-    differences = [
-        (column - log.raw.q[:, joint])[log.moving[:, joint] & np.isfinite(column)]
-        for log, column in zip(logs, columns, strict=True)
+def courses_of_all(logs: Sequence[DriveSignals]) -> list[str]:
+    """Return what commands may do between two stamps, by all logs."""
+    return [
+        course
+        for course in logs[0].commands
+        if all(course in log.commands for log in logs)
     ]
-    motion = max(float(np.ptp(log.raw.q[:, joint])) for log in logs)
-    largest = max(
-        float(np.quantile(np.abs(each), 0.99)) for each in differences if len(each)
+
+
+def table_for(
+    surface: FrictionSurface | None,
+    logs: Sequence[DriveSignals],
+    joint: int,
+    added: AddedFriction | None = None,
+) -> FrictionTable:
+    """Fill the table of a joint for the range of some logs, and a margin."""
+    q = np.concatenate([log.q[:, joint] for log in logs])
+    fastest = max(float(np.abs(log.dq[:, joint]).max()) for log in logs)
+    margin = MARGIN * max(float(np.ptp(q)), 1e-3)
+    return FrictionTable.of(
+        surface,
+        float(q.min()) - margin,
+        float(q.max()) + margin,
+        (1.0 + 2.0 * MARGIN) * max(fastest, 1e-3),
+        added,
     )
-    if largest <= ECHO * motion:
-        return (
-            "its command is the measured position, and no command: log what the"
-            " controller is asked for"
-        )
-    return ""

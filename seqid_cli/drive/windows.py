@@ -10,27 +10,44 @@ the second one is hard to beat.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from seqid_cli.drive.friction_table import table_for
+from seqid_cli.drive.effects import ArmEffects, EffectTorque
 from seqid_cli.drive.signals import (
     STANDS_S,
     STANDS_STEPS,
     DriveSignals,
     command_at,
+    table_for,
 )
 from seqid_cli.drive.simulation import STEP_S, Asked, ClosedLoop, Gains
+from seqid_cli.effects.memory import deflection
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.params.results.drive import DriveFile
-from seqid_cli.params.results.replay import ReplayError, ReplayJoint, WorstWindow
+from seqid_cli.params.results.drive import DriveFile, JointDrive
+from seqid_cli.params.results.replay import (
+    ReplayError,
+    ReplayJoint,
+    ReplayTrace,
+    WorstWindow,
+)
 from seqid_cli.typing import Array, Mask
 
 MOST_WINDOWS = 400  # in one run of the simulation: more take memory and save no time
 # Steps of the delays that are tried for the trivial guesses, in samples.
 DELAY_STEPS = 1
+TRACE_POINTS = 200  # of what a report draws
+# Of the simulated steps: after the arm has settled, how long, and how large.
+STEP_AT_S = 1.0
+STEP_LASTS_S = 1.0
+STEP_SHARE = 0.1  # of the joint's travel in the logs
+# What a joint has that moves as it was measured.
+NO_DRIVE = JointDrive(
+    parameters=[], command="held", command_known=False, left=None, rmse=None, samples=0
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +71,14 @@ class Replayed:
     step_s: float
 
 
-def windows_of(logs: Sequence[DriveSignals], window_s: float) -> list[Window]:
-    """Cut logs into windows in which every joint has everything."""
+def windows_of(
+    logs: Sequence[DriveSignals], window_s: float, driven: Sequence[int]
+) -> list[Window]:
+    """Cut logs into windows in which every driven joint has everything."""
     windows = []
     for log in logs:
         rows = round(window_s * log.rate_hz)
-        usable: Mask = np.asarray(log.usable.all(axis=1))
+        usable: Mask = np.asarray(log.usable[:, driven].all(axis=1))
         for start, stop in runs(usable, len(usable)):
             windows += [
                 Window(log=log, start=first, stop=first + rows)
@@ -70,7 +89,7 @@ def windows_of(logs: Sequence[DriveSignals], window_s: float) -> list[Window]:
 
 def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
     """Return the controllers of a drive file in the order of joints."""
-    joints = [file.joints[name] for name in names]
+    joints = [file.joints.get(name, NO_DRIVE) for name in names]
 
     def column(parameter: str) -> Array:
         return np.array([joint.value(parameter) for joint in joints])
@@ -102,12 +121,23 @@ def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
 
 
 def closed_loop(
-    file: DriveFile, model: TorqueModel, logs: Sequence[DriveSignals]
+    file: DriveFile,
+    model: TorqueModel,
+    logs: Sequence[DriveSignals],
+    effects: ArmEffects | None = None,
 ) -> ClosedLoop:
     """Build the simulation of an arm with its controllers, for the range of logs."""
-    tables = [table_for(surface, logs, j) for j, surface in enumerate(model.surfaces)]
+    effects = effects or ArmEffects.none(model)
+    tables = [
+        table_for(surface, logs, j, effects.added_to_table(j))
+        for j, surface in enumerate(model.surfaces)
+    ]
+    gains = gains_of(file, model.robot.joint_names)
     return ClosedLoop(
-        model=model, gains=gains_of(file, model.robot.joint_names), friction=tables
+        model=model,
+        gains=replace(gains, armature=gains.armature + effects.armature),
+        friction=tables,
+        effects=effects.of_steps,
     )
 
 
@@ -135,7 +165,11 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
     v0 = np.stack([window.log.dq[window.start] for window in windows])
     first_torque = np.stack([window.log.torque[window.start] for window in windows])
     steps = (rows - 1) * per_row + 1
-    asked = _asked(file, windows, steps, step_s)
+    asked = replace(
+        _asked(file, windows, steps, step_s),
+        celsius=_celsius(windows),
+        bristles=[_bristles(each, windows) for each in loop.effects],
+    )
     standing = np.array([_stands(window) for window in windows])
     simulated = loop.run(q0, v0, first_torque, asked, step_s, standing)
 
@@ -193,23 +227,81 @@ def _asked(
         log = window.log
         t = log.raw.t[window.start] + np.arange(steps) * step_s
         for j, name in enumerate(names):
-            joint = file.joints[name]
+            joint = file.joints.get(name)
+            if joint is None:
+                continue
             at = t - joint.value("command_delay")
             c[:, w, j] = command_at(log, joint.command, j, at)
+            smooth = log.commands.get(joint.command, log.commands["interpolated"])
             if joint.value("velocity_feedforward"):
-                smooth = log.commands[joint.command]
                 dc[:, w, j] = np.interp(at, log.raw.t, smooth.dc[:, j])
             if joint.value("acceleration_feedforward"):
-                smooth = log.commands[joint.command]
                 ddc[:, w, j] = np.interp(at, log.raw.t, smooth.ddc[:, j])
-    return Asked(c=c, dc=dc, ddc=ddc)
+    led = _led(file, windows, steps, step_s)
+    return Asked(c=c, dc=dc, ddc=ddc, led=led)
+
+
+def _celsius(windows: Sequence[Window]) -> Array | None:
+    """Return temperatures (B, n) [degC] where windows begin; None without any."""
+    logged = [window.log.raw.temperature for window in windows]
+    if all(each is None for each in logged):
+        return None
+    unknown = np.full(windows[0].log.q.shape[1], np.nan)
+    return np.stack(
+        [
+            unknown if celsius is None else celsius[window.start]
+            for celsius, window in zip(logged, windows, strict=True)
+        ]
+    )
+
+
+def _bristles(effect: EffectTorque, windows: Sequence[Window]) -> Array:
+    """Return the deflection (B,) of bristles where windows begin, by the logs so far.
+
+    It is zero for an effect that has none.
+    """
+    if effect.bristles is None:
+        return np.zeros(len(windows))
+    by_log = {
+        id(window.log): deflection(
+            window.log.q[:, effect.joint], effect.bristles.distance
+        )
+        for window in windows
+    }
+    return np.array([by_log[id(window.log)][window.start] for window in windows])
+
+
+def _led(
+    file: DriveFile, windows: Sequence[Window], steps: int, step_s: float
+) -> Array | None:
+    """Return the measured speeds of joints without a controller (T, B, n) [rad/s].
+
+    Those of the others are not a number. None where every joint has a controller.
+    """
+    names = list(file.robot.joints)
+    without = [j for j, name in enumerate(names) if name not in file.joints]
+    if not without:
+        return None
+    led = np.full((steps, len(windows), len(names)), np.nan)
+    splines = {
+        id(window.log): CubicSpline(window.log.raw.t, window.log.q[:, without])
+        for window in windows
+    }
+    for w, window in enumerate(windows):
+        log = window.log
+        t = log.raw.t[window.start] + np.arange(steps + 1) * step_s
+        q = splines[id(log)](t)
+        # A step ends where the log is, not only at its speed.
+        led[:, w, without] = np.diff(q, axis=0) / step_s
+    return led
 
 
 def _late(file: DriveFile, loop: ClosedLoop, torque: Array, step_s: float) -> Array:
     """Return torques (T, B, n) as the log has them, late by each joint's lag."""
     late = torque.copy()
     for j, name in enumerate(loop.model.robot.joint_names):
-        steps = round(file.joints[name].value("torque_lag") / step_s)
+        joint = file.joints.get(name, NO_DRIVE)
+        steps = round(joint.value("torque_lag") / step_s)
         if steps > 0:
             late[steps:, :, j] = torque[:-steps, :, j]
             late[:steps, :, j] = torque[:1, :, j]
@@ -228,12 +320,19 @@ def _at_steps(
 
 
 def joints_of(
-    file: DriveFile, results: Sequence[Replayed]
+    file: DriveFile,
+    results: Sequence[Replayed],
+    steps: Mapping[str, ReplayTrace] = {},
 ) -> Mapping[str, ReplayJoint]:
-    """Return the errors of each joint beside those of trivial guesses."""
+    """Return the errors of each joint beside those of trivial guesses.
+
+    `steps`: the joints' step responses.
+    """
     joints = {}
     windows = [window for result in results for window in result.windows]
     for j, name in enumerate(file.robot.joints):
+        if name not in file.joints:
+            continue
         delay, delayed, changed = _guesses(file, windows, j)
         torque = None
         if all(result.torque is not None for result in results):
@@ -262,6 +361,8 @@ def joints_of(
             start_plus_change=_error(windows, changed),
             without_drive=without,
             baseline_delay_s=delay,
+            worst_window=_worst_trace(file, results, j),
+            step_response=steps.get(name),
         )
     return joints
 
@@ -304,3 +405,69 @@ def _guesses(
     best = float(delays[int(np.argmin(costs))])
     delayed, changed = at(best)
     return best, delayed, changed
+
+
+def _worst_trace(
+    file: DriveFile, results: Sequence[Replayed], joint: int
+) -> ReplayTrace:
+    """Return the positions of a joint in the window with the largest error."""
+    pairs = [
+        (window, errors[:, joint])
+        for result in results
+        for window, errors in zip(result.windows, result.position, strict=True)
+    ]
+    window, error = max(pairs, key=lambda pair: float(np.mean(pair[1] ** 2)))
+    every = max(1, len(error) // TRACE_POINTS)
+    rows = np.arange(window.start, window.stop)[::every]
+    t = window.log.raw.t[rows]
+    measured = window.log.q[rows, joint]
+    course = file.joints[file.robot.joints[joint]].command
+    return ReplayTrace(
+        t=t.tolist(),
+        command=command_at(window.log, course, joint, t).tolist(),
+        replayed=(measured + error[::every]).tolist(),
+        measured=measured.tolist(),
+    )
+
+
+def step_responses(
+    loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]
+) -> dict[str, ReplayTrace]:
+    """Simulate a step of each joint's command, the others at rest where they are.
+
+    The arm stands in the middle of the logs' positions. A joint holds there before the
+    step: by an integral where its controller has one, else it sags as it must.
+    """
+    names = list(file.robot.joints)
+    driven = [j for j, name in enumerate(names) if name in file.joints]
+    q = np.concatenate([window.log.q[window.start : window.stop] for window in windows])
+    middle = np.tile(np.median(q, axis=0), (len(driven), 1))
+    count = round((STEP_AT_S + STEP_LASTS_S) / STEP_S)
+    t = np.arange(count) * STEP_S
+    c = np.broadcast_to(middle, (count, *middle.shape)).copy()
+    sizes = []
+    for b, j in enumerate(driven):
+        travel = float(np.ptp(q[:, j]))
+        sizes.append(STEP_SHARE * max(travel, 1e-3))
+        delay = file.joints[names[j]].value("command_delay")
+        c[t >= STEP_AT_S + delay, b, j] += sizes[b]
+    nothing = np.zeros_like(c)
+    rest = np.zeros_like(middle)
+    led = None
+    if len(driven) < len(names):
+        led = np.full_like(c, np.nan)
+        led[:, :, [j for j in range(len(names)) if j not in driven]] = 0.0
+    asked = Asked(c=c, dc=nothing, ddc=nothing, led=led)
+    run = loop.run(middle, rest, rest, asked, STEP_S)
+    every = max(1, count // TRACE_POINTS)
+    traces = {}
+    for b, j in enumerate(driven):
+        command = np.where(t >= STEP_AT_S, sizes[b], 0.0)
+        # By how much the joint goes on from where it has settled.
+        before = run.q[round(STEP_AT_S / STEP_S) - 1, b, j]
+        traces[names[j]] = ReplayTrace(
+            t=(t[::every] - STEP_AT_S).tolist(),
+            command=command[::every].tolist(),
+            replayed=(run.q[::every, b, j] - before).tolist(),
+        )
+    return traces

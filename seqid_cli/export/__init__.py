@@ -188,15 +188,25 @@ def _export_drive(
     drive: DriveFile, form: Format, path: Path, robot_path: Path, output_path: Path
 ) -> ExportFile:
     """Write an arm with the drives that were identified."""
-    if form.target not in ("mujoco", "mujoco-position"):
+    from seqid_cli.export.drive_targets import WRITERS, notes
+
+    is_mjcf = form.target in ("mujoco", "mujoco-position")
+    if not is_mjcf and form.target not in WRITERS:
+        targets = ", ".join(["mujoco-position", *WRITERS])
         raise ConfigError(
             f"a drive is not written as {form.title}",
             where=str(path),
-            hint="Export it to MJCF (--target mujoco-position), or give the result of"
-            " seqid inertia for the arm alone.",
+            hint=f"Choose --target {targets}, or give the result of seqid inertia for"
+            " the arm alone.",
         )
     model = drive_model(drive, robot_path, path)
-    write_text_atomic(output_path, mjcf_with_drives(model, drive))
+    if is_mjcf:
+        text = mjcf_with_drives(model, drive)
+        lacking = drive_notes(drive)
+    else:
+        text = WRITERS[form.target](model, drive)
+        lacking = notes(drive, form.target)
+    write_text_atomic(output_path, text)
     names = model.robot.joint_names
     return ExportFile(
         **head(EXPORT_SCHEMA, drive.created),
@@ -209,7 +219,7 @@ def _export_drive(
         largest_deviation=model.largest_deviation,
         base_parameters=list(model.deviations),
         joints={name: _link(model, j) for j, name in enumerate(names)},
-        notes=[*model.notes, *drive_notes(drive), f"{_UNCHECKED}: see seqid replay"],
+        notes=[*model.notes, *lacking, f"{_UNCHECKED}: see seqid replay"],
     )
 
 

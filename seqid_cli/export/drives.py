@@ -115,8 +115,21 @@ def friction_of(
     return tuple(frictions)
 
 
-def drive_notes(drive: DriveFile) -> list[str]:
-    """Return what a simulation has to add, joint by joint."""
+def drive_notes(
+    drive: DriveFile,
+    held: Sequence[str] = ("gravity_compensation",),
+    form: str = "a position actuator",
+) -> list[str]:
+    """Return what a simulation has to add to a form, joint by joint.
+
+    Parameters
+    ----------
+    drive : DriveFile
+    held : sequence of str
+        Parts beside gain, damping and limits that the form has a place for.
+    form : str
+        In words.
+    """
     notes = []
     for name, joint in drive.joints.items():
         delay_ms = 1e3 * joint.value("command_delay")
@@ -127,16 +140,15 @@ def drive_notes(drive: DriveFile) -> list[str]:
                 "integral",
                 "velocity_feedforward",
                 "acceleration_feedforward",
+                "gravity_compensation",
                 "stribeck",
                 "load_friction",
                 "dead_band",
             )
-            if joint.value(part)
+            if joint.value(part) and part not in held
         ]
         if left_out:
-            notes.append(
-                f"{name}: a position actuator has no place for {', '.join(left_out)}"
-            )
+            notes.append(f"{name}: {form} has no place for {', '.join(left_out)}")
     return notes
 
 

@@ -29,6 +29,12 @@ FILLED = 0.9
 # Of the distances between changes, in rows, this quantile tells how fast commands can
 # come: coarse commands of a slow motion repeat as well, those of a fast one do not.
 FASTEST = 0.1
+# Steps of a command that goes on: larger than so many of its smallest, which may be one
+# of rounding; at least so many; and the share of them behind a repeated row, from which
+# on commands are slower than rows.
+COARSE = 3.0
+FEWEST_STEPS = 20
+REPEATED = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,13 +149,35 @@ def _of_rows(rows: Stream, base: Base) -> Commands:
 
 def is_held(values: Array) -> bool:
     """Tell whether commands (M, n) come slower than the rows that hold them."""
-    fastest_gaps = []
-    for column in values.T:
-        present = column[np.isfinite(column)]
-        changes = np.flatnonzero(np.diff(present))
-        if len(changes) > 1:
-            fastest_gaps.append(np.quantile(np.diff(changes), FASTEST))
-    return bool(fastest_gaps) and min(fastest_gaps) >= 2.0
+    return any(
+        held_period(column[np.isfinite(column)]) is not None for column in values.T
+    )
+
+
+def held_period(command: Array) -> float | None:
+    """Return the rows between two changes of a command (M,); None if none are.
+
+    Commands may come every 1.6 rows: then some rows repeat the one before, though the
+    command goes on in one direction by steps that are not the smallest it has.
+    """
+    steps = np.diff(command)
+    changes = np.flatnonzero(steps)
+    if len(changes) < 2:
+        return None
+    gaps = np.diff(changes)
+    if np.quantile(gaps, FASTEST) >= 2.0:
+        return float(np.median(gaps))
+
+    sizes = np.abs(steps[changes])
+    coarse = COARSE * sizes.min()
+    goes_on = (steps[changes[1:]] * steps[changes[:-1]] > 0.0) & (
+        np.minimum(sizes[1:], sizes[:-1]) > coarse
+    )
+    if np.count_nonzero(goes_on) < FEWEST_STEPS:
+        return None
+    if np.mean(gaps[goes_on] > 1) < REPEATED:
+        return None
+    return float(np.mean(gaps[goes_on]))
 
 
 def _sent(streams: Sequence[Stream], base: Base) -> Commands:

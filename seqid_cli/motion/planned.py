@@ -16,12 +16,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.params.results.plan import HARMONICS, PlannedMove, Stroke
+from seqid_cli.params.results.plan import (
+    HARMONICS,
+    ChirpMotion,
+    PlannedMove,
+    Stroke,
+)
 from seqid_cli.typing import Array
 
 COEFFICIENTS = 2 * HARMONICS
 RATE_HZ = 100.0  # of the rows; controllers interpolate between them
 REST_S = 0.3  # before the first stroke and after each
+PER_PERIOD = 10.0  # rows of a wave, for controllers that interpolate between them
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,34 @@ def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
     return position, direction * speed, direction * acceleration
 
 
+def waves(chirp: ChirpMotion, t: Array) -> Array:
+    """Compute position, speed and acceleration (3, N) of a chirp at even times."""
+    seconds = float(t[-1] - t[0])
+    growth = np.log(chirp.highest_hz / chirp.lowest_hz) / seconds
+    f = chirp.lowest_hz * np.exp(growth * t)
+    phase = 2.0 * np.pi * (f - chirp.lowest_hz) / growth
+    # Windows and amplitudes change slowly: their derivatives by differences do.
+    ramp = seconds / (2 * HARMONICS)
+    x = np.clip(np.minimum(t / ramp, (seconds - t) / ramp), 0.0, 1.0)
+    window = x**3 * (10 - 15 * x + 6 * x**2)
+    A = window * chirp.amplitude / (1.0 + (f / chirp.corner_hz) ** 2)
+    dA = np.gradient(A, t)
+    ddA = np.gradient(dA, t)
+    pace = 2.0 * np.pi * f
+    y = np.sin(phase)
+    dy = pace * np.cos(phase)
+    ddy = growth * dy - pace**2 * y
+    return np.array(
+        [chirp.centre + A * y, dA * y + A * dy, ddA * y + 2.0 * dA * dy + A * ddy]
+    )
+
+
+def rows_per_second(move: PlannedMove, usual_hz: float) -> float:
+    """Return the rows per second of a move's file: the usual ones, or more."""
+    highest_hz = max((each.highest_hz for each in move.chirp.values()), default=0.0)
+    return max(usual_hz, PER_PERIOD * highest_hz)
+
+
 def sampled(
     move: PlannedMove, names: Sequence[str], rate_hz: float
 ) -> tuple[Array, ...]:
@@ -121,6 +155,8 @@ def sampled(
     else:
         shapes = Shapes.over(move.duration_s, rate_hz)
         t = shapes.t
+        for name, chirp in move.chirp.items():
+            by_joint[name] = waves(chirp, t)
         for name, motion in move.fourier.items():
             c = np.empty(COEFFICIENTS)
             c[0::2] = motion.sine

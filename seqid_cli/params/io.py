@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
 Json = dict[str, object]
-Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
+Result = (
+    PredictionFile | DiagnosisFile | PayloadFile | PlanFile | DriveFile | ReplayFile
+)
 Document = ParameterFile | Result
 D = TypeVar("D", bound=Document, covariant=True)
 
@@ -51,6 +53,8 @@ _KINDS: Mapping[str, type[Written]] = {
     "export": ExportFile,
 }
 _OF_ROBOT = ("params", "prediction", "diagnosis", "payload", "plan")
+# What a page is made of.
+OF_PAGE = (*_OF_ROBOT, "drive", "replay")
 _PARAMETER_HINT = "-p takes a JSON file that seqid wrote with -o."
 _RESULT_HINT = "Name JSON files that seqid wrote with -o."
 _MAX_BYTES = 256 * 1024 * 1024
@@ -104,8 +108,12 @@ def read_document(path: Path) -> Written:
     return cast(Written, content)
 
 
-def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
+def read_any(
+    paths: Sequence[Path], kinds: Collection[str] = _OF_ROBOT
+) -> list[Source[Document]]:
     """Read parameter files and results about one robot, in the order given.
+
+    `kinds`: those that are taken.
 
     Raises
     ------
@@ -114,7 +122,7 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     """
     sources = []
     for path in paths:
-        sha256, content = _read(path, _OF_ROBOT, _RESULT_HINT)
+        sha256, content = _read(path, kinds, _RESULT_HINT)
         sources.append(Source(path=str(path), sha256=sha256, content=content))
     return sources
 

@@ -48,8 +48,8 @@ def plan(
 
     Parameters
     ----------
-    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", \
-"all", "discriminate"}
+    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "drive", \
+"validation", "all", "discriminate"}
         The stage to record for, a whole session, or the question which of two effects
         it is.
     robot : path or Robot

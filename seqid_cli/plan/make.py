@@ -26,6 +26,7 @@ from seqid_cli.plan.moves.floor import Floor
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.settings import DiscriminationSettings, PlanSettings
+from seqid_cli.plan.stages.drive import plan_drive
 from seqid_cli.plan.stages.goal import Planned
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
@@ -38,7 +39,17 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 # Stages in the order of the work, which is that of the plan file.
-_STAGES = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation")
+_STAGES = (
+    "friction",
+    "gravity",
+    "imu-calib",
+    "inertia",
+    "payload",
+    "drive",
+    "validation",
+)
+# What is planned by itself alone.
+_ALONE = ("payload", "drive")
 
 
 def make_plan(
@@ -152,7 +163,7 @@ def _plan_stages(
     """
     names = [plan_name]
     if plan_name == "all":
-        names = [name for name in _STAGES if name != "payload"]
+        names = [name for name in _STAGES if name not in _ALONE]
         if not belief.robot.imus:
             names.remove("imu-calib")
 
@@ -189,6 +200,8 @@ def _plan_stage(
         return plan_inertia(belief, stages, options, information)
     if name == "payload":
         return plan_payload(belief, stages, options)
+    if name == "drive":
+        return plan_drive(belief, options)
     if name == "validation":
         return plan_validation(belief, options)
     raise KeyError(name)

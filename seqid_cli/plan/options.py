@@ -11,6 +11,7 @@ What = Literal[
     "imu-calib",
     "inertia",
     "payload",
+    "drive",
     "validation",
     "all",
     "discriminate",
@@ -51,6 +52,8 @@ class PlanOptions:
         The joint at which the two effects are.
     size_share : float
         Torque of the effects, over the usual torque of the joint.
+    bandwidth_hz : float
+        Of the position loops, about: a drive is planned up to twice of it [Hz].
     load_kg : float
         Heaviest payload, with which torques are checked [kg].
     keep_out : tuple of tuples of float
@@ -79,6 +82,7 @@ class PlanOptions:
     between: tuple[str, ...] = ()
     joint: str | None = None
     size_share: float = 0.05
+    bandwidth_hz: float = 4.0
     load_kg: float = 0.0
     keep_out: tuple[tuple[float, ...], ...] = ()
     workspace: tuple[float, ...] | None = None

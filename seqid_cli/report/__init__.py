@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, warn
 from seqid_cli.params.files import By, by_robot, check_output, write_text_atomic
-from seqid_cli.params.io import Document, Source, read_any, read_trend
+from seqid_cli.params.io import OF_PAGE, Document, Source, read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.report.plots import plot_evidence, plot_friction, plot_torques
@@ -83,7 +83,7 @@ def report(
         )
 
     trend = read_trend(documents[0]) if len(documents) == 1 else None
-    sources = [] if trend is not None else read_any(documents)
+    sources = [] if trend is not None else read_any(documents, OF_PAGE)
     if trend is not None:
         from seqid_cli.report.trend import trend_page
 

@@ -9,9 +9,11 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import check_same_robot, join, present
 from seqid_cli.params.io import D, Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
+from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import FileId, PredictionFile
+from seqid_cli.params.results.replay import ReplayFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
 from seqid_cli.report.words import command, short_path, unit_text
 
@@ -22,6 +24,8 @@ WRITTEN_BY: Mapping[type, str] = {
     DiagnosisFile: "diagnose",
     PayloadFile: "payload",
     PlanFile: "plan",
+    DriveFile: "drive",
+    ReplayFile: "replay",
 }
 _MOST_JOINTS = 200
 Sources = Sequence[Source[Document]]
@@ -80,7 +84,7 @@ class Collection:
         The best first.
     predictions : tuple of Source
         Those of the best model first.
-    diagnoses, payloads, plans : tuples of Source
+    diagnoses, payloads, plans, drives, replays : tuples of Source
     warnings : tuple of str
         About files that fit, but not perfectly.
     """
@@ -93,6 +97,8 @@ class Collection:
     payloads: tuple[Source[PayloadFile], ...]
     plans: tuple[Source[PlanFile], ...]
     warnings: tuple[str, ...]
+    drives: tuple[Source[DriveFile], ...] = ()
+    replays: tuple[Source[ReplayFile], ...] = ()
 
     @property
     def model(self) -> Model | None:
@@ -101,7 +107,7 @@ class Collection:
 
     @property
     def is_about_a_model(self) -> bool:
-        """True unless plans and payloads alone were given, which are judged alone."""
+        """True where a model, a prediction or a diagnosis was given."""
         return bool(self.models or self.predictions or self.diagnoses)
 
     def place(self, joint: str) -> Place:
@@ -231,6 +237,8 @@ def collect(documents: Sources) -> Collection:
         payloads=of_kind(unique, PayloadFile),
         plans=of_kind(unique, PlanFile),
         warnings=tuple(_warnings(unique)),
+        drives=of_kind(unique, DriveFile),
+        replays=of_kind(unique, ReplayFile),
     )
 
     # Predictions in the order of their models; those of no model come last.
@@ -265,7 +273,12 @@ def _common_robot(documents: Sources) -> RobotId:
 
 def models_of(content: Result) -> list[FileId]:
     """Return the parameter files that a result was made with."""
-    return content.models if isinstance(content, PayloadFile) else content.parameters
+    if isinstance(content, ReplayFile):
+        # It was made with a drive, which is no parameter file.
+        return []
+    if isinstance(content, PayloadFile | DriveFile):
+        return content.models
+    return content.parameters
 
 
 def _warnings(documents: Sources) -> Iterator[str]:

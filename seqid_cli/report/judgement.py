@@ -120,8 +120,10 @@ def judge(collection: Collection) -> Judgement:
 
 
 def judge_results(collection: Collection) -> Judgement:
-    """Judge plans and payloads by their own verdicts, where nothing else is given."""
-    verdicts = [(x.path, x.content.verdicts) for x in collection.payloads]
+    """Judge results by their own verdicts, where no model is given."""
+    verdicts = [(x.path, x.content.verdicts) for x in collection.drives]
+    verdicts += [(x.path, x.content.verdicts) for x in collection.replays]
+    verdicts += [(x.path, x.content.verdicts) for x in collection.payloads]
     verdicts += [(x.path, x.content.verdicts) for x in collection.plans]
     points = []
     for path, of_file in verdicts:

@@ -11,6 +11,7 @@ from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import judge, judge_results
 from seqid_cli.report.sections.diagnosis import closed_loop, diagnosis
+from seqid_cli.report.sections.drive import drive
 from seqid_cli.report.sections.friction import friction
 from seqid_cli.report.sections.imu import imu
 from seqid_cli.report.sections.parameters import parameters
@@ -55,7 +56,7 @@ def make_report(
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     # None where no file of one is given
-    results = (payload(collection), plan(collection))
+    results = (drive(collection), payload(collection), plan(collection))
     sections = [section for section in results if section is not None]
     if collection.is_about_a_model:
         judgement = judge(collection)

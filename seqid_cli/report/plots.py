@@ -129,12 +129,12 @@ def plot_torques(
     UsageError
         The torques of this joint are in none of the files.
     """
-    from seqid_cli.params.io import read_any
+    from seqid_cli.params.io import OF_PAGE, read_any
     from seqid_cli.report.collection import collect
     from seqid_cli.report.make import open_torques
     from seqid_cli.report.sections.torque import over_logs
 
-    collection = collect(read_any([Path(path) for path in listed(files)]))
+    collection = collect(read_any([Path(path) for path in listed(files)], OF_PAGE))
     tables, _ = open_torques([Path(path) for path in listed(torques)], collection)
     _, figures = over_logs(collection, tables, joint, columns)
     if not figures:

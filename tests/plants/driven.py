@@ -167,11 +167,13 @@ def simulate_drive(
     noise: float = 1e-5,
     torque_noise: float = 0.02,
     with_torque: bool = True,
+    resists: Any = None,
 ) -> Recording:
     """Run an arm after a command and record it.
 
     `command_hz`: commands are sent at this rate and held; without it they are as smooth
-    as the function, and each row has one.
+    as the function, and each row has one. `resists`: a torque (n,) N m against the
+    motion besides, a function of positions, speeds and the torque of gravity.
     """
     model = mujoco.MjModel.from_xml_string(_mjcf(arm))
     data = mujoco.MjData(model)
@@ -220,6 +222,8 @@ def simulate_drive(
             log.q.append(q)
             log.dq.append(dq)
         data.qfrc_applied[:] = u
+        if resists is not None:
+            data.qfrc_applied[:] -= resists(q, dq, data.qfrc_bias.copy())
         mujoco.mj_step(model, data)
     return _recording(
         arm,

@@ -4,14 +4,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from seqid_cli.drive.effects import ArmEffects
 from seqid_cli.drive.equations import DERIVATIVE, PROPORTIONAL
-from seqid_cli.drive.friction_table import FrictionTable, table_for
+from seqid_cli.drive.friction_table import FrictionTable
 from seqid_cli.drive.rollouts.course import arm_motion, courses_of
 from seqid_cli.drive.rollouts.fit import WindowFit, fit_windows, refitted
 from seqid_cli.drive.rollouts.loop import JointLoop
 from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.drive.settings import DriveSettings
-from seqid_cli.drive.signals import DriveSignals
+from seqid_cli.drive.signals import DriveSignals, courses_of_all, table_for
 from seqid_cli.model.torque import TorqueModel
 
 # Of a window: long against a loop, so that errors show.
@@ -32,6 +33,7 @@ def fit_all_windows(
     *,
     nominal: bool,
     same_servos: bool,
+    effects: ArmEffects | None = None,
 ) -> dict[int, WindowFit]:
     """Fit joints by windows of their logs.
 
@@ -46,7 +48,10 @@ def fit_all_windows(
         Whether the model is that of the URDF: without rotors and friction.
     same_servos : bool
         Whether joints have servos of one type.
+    effects : ArmEffects, optional
+        What the model's file has beside it.
     """
+    effects = effects or ArmEffects.none(model)
     motions = [arm_motion(log, model) for log in logs]
     fits: dict[int, WindowFit] = {}
     loops: dict[int, list[JointLoop]] = {}
@@ -54,7 +59,7 @@ def fit_all_windows(
         if fit is not None:
             course = fit.course
         else:
-            course = next(iter(logs[0].commands))
+            course = courses_of_all(logs)[0]
         limits = (None, None) if fit is None else (fit.limit, fit.speed_limit)
         torque_limit, velocity_limit = (
             np.inf if limit is None else limit.value for limit in limits
@@ -62,7 +67,7 @@ def fit_all_windows(
         loops[joint] = [
             JointLoop(
                 course=each,
-                friction=_friction(model, logs, joint),
+                friction=_friction(effects, logs, joint),
                 torque_limit=torque_limit,
                 velocity_limit=velocity_limit,
             )
@@ -87,10 +92,13 @@ def fit_all_windows(
 
 
 def _friction(
-    model: TorqueModel, logs: Sequence[DriveSignals], joint: int
+    effects: ArmEffects, logs: Sequence[DriveSignals], joint: int
 ) -> FrictionTable | None:
-    surface = model.surfaces[joint]
-    return None if surface is None else table_for(surface, logs, joint)
+    surface = effects.model.surfaces[joint]
+    added = effects.added_to_table(joint)
+    if surface is None and added is None:
+        return None
+    return table_for(surface, logs, joint, added)
 
 
 def shared(fits: Sequence[WindowFit]) -> dict[str, tuple[float, float]]:

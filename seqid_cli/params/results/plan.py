@@ -51,6 +51,25 @@ class FourierMotion(Struct, kw_only=True):
             raise ValueError(f"sine and cosine must have {HARMONICS} numbers each")
 
 
+class ChirpMotion(Struct, kw_only=True):
+    """Waves of one joint whose frequency rises from the lowest to the highest.
+
+    q(t) = centre + w(t) A(f) sin(2 pi int f dt), f = lowest (highest / lowest)^(t / T),
+    A(f) = amplitude / (1 + (f / corner)^2), and w as in `FourierMotion`. Above the
+    corner the acceleration is the same at all frequencies. Frequencies are in Hz.
+    """
+
+    centre: float
+    amplitude: float
+    lowest_hz: float
+    highest_hz: float
+    corner_hz: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.lowest_hz < self.highest_hz or not self.corner_hz > 0.0:
+            raise ValueError("frequencies must be positive and rise")
+
+
 class Stroke(Struct, kw_only=True):
     """One way of a joint at constant speed; its ends are reached in cosine ramps."""
 
@@ -74,8 +93,8 @@ class Stroke(Struct, kw_only=True):
 class PlannedMove(Struct, kw_only=True):
     """One motion to record, from rest to rest.
 
-    `start` is where all joints stand before. Joints move by `fourier` or, one after the
-    other way, by `strokes` of the only joint in `joints`; all others stay.
+    `start` is where all joints stand before. Joints move by `fourier`, by `chirp` or,
+    one after the other way, by `strokes` of the only joint in `joints`; others stay.
     `torque_share` is the largest torque that is expected, three standard errors added,
     over the joint's limit (null: not known); `torque` that torque (N m) in equal parts
     of the time, by joint (empty: not known).
@@ -87,6 +106,7 @@ class PlannedMove(Struct, kw_only=True):
     duration_s: float
     start: dict[str, float]
     fourier: dict[str, FourierMotion] = {}
+    chirp: dict[str, ChirpMotion] = {}
     strokes: list[Stroke] = []
     torque_share: float | None = None
     torque: dict[str, list[float]] = {}
@@ -207,6 +227,6 @@ class PlanFile(OfRobot, kw_only=True):
     def __post_init__(self) -> None:
         joints = set(self.limits)
         for index, move in enumerate(self.moves):
-            named = {*move.joints, *move.fourier, *move.torque}
+            named = {*move.joints, *move.fourier, *move.chirp, *move.torque}
             if set(move.start) != joints or not named <= joints:
                 raise ValueError(f"moves[{index}] names other joints than limits")

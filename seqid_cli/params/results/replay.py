@@ -22,6 +22,19 @@ class ReplayError(Struct, kw_only=True):
     worst: WorstWindow
 
 
+class ReplayTrace(Struct, kw_only=True):
+    """Positions of one joint over `t` [s]: what was asked for, and what came of it.
+
+    `measured` is empty where there is no measurement, as in a step response. All are in
+    rad (m).
+    """
+
+    t: list[float]
+    command: list[float]
+    replayed: list[float]
+    measured: list[float] = []
+
+
 class ReplayJoint(Struct, kw_only=True):
     """The errors of one joint.
 
@@ -29,7 +42,8 @@ class ReplayJoint(Struct, kw_only=True):
     position: `delayed_command` is the command itself at the delay that suits it best,
     `start_plus_change` the first position and the change of that command, and
     `without_drive` the arm driven by the measured torque. Null where there is nothing
-    to compare with.
+    to compare with. `worst_window` shows the window with the largest error, and
+    `step_response` what a step of the command makes of the simulated joint at rest.
     """
 
     position: ReplayError
@@ -39,6 +53,8 @@ class ReplayJoint(Struct, kw_only=True):
     start_plus_change: ReplayError
     without_drive: ReplayError | None
     baseline_delay_s: float
+    worst_window: ReplayTrace | None = None
+    step_response: ReplayTrace | None = None
 
 
 class ReplayFile(OfRobot, kw_only=True):

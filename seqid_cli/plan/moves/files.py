@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from seqid_cli.motion.planned import RATE_HZ, REST_S, sampled
+from seqid_cli.motion.planned import RATE_HZ, REST_S, rows_per_second, sampled
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.robot.types import Array, Robot
@@ -94,7 +94,7 @@ def _csv(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:
     for quantity in ("position", "velocity", "acceleration"):
         columns += [f"{quantity}_{name}" for name in names]
 
-    rows = _rows(move, names, speed_scale, RATE_HZ)
+    rows = _rows(move, names, speed_scale, rows_per_second(move, RATE_HZ))
     table = np.column_stack([rows.t, rows.q, rows.dq, rows.ddq])
     lines = [",".join(columns)]
     for row in table:
@@ -106,7 +106,7 @@ def _yaml(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:
     """Return the goal of a FollowJointTrajectory action."""
     quoted = ", ".join(f'"{name}"' for name in names)
     lines = ["trajectory:", f"  joint_names: [{quoted}]", "  points:"]
-    rows = _rows(move, names, speed_scale, POINT_HZ)
+    rows = _rows(move, names, speed_scale, rows_per_second(move, POINT_HZ))
     for t, q, dq, ddq in zip(rows.t, rows.q, rows.dq, rows.ddq, strict=True):
         sec, nanosec = divmod(round(t * 1e9), 1_000_000_000)
         lines += [

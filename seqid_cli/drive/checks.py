@@ -1,8 +1,8 @@
 """Commands that show no controller, and what else of the logs a reader has to know.
 
-A joint may have no command (a gripper that has a driver of its own), one that is an echo of its
-position, or one that was resampled before it was logged. Joints that a log has beside
-the robot's chain are named: what drives them is not looked for.
+A joint may have no command (a gripper that has a driver of its own), one that is an
+echo of its position, or one that was resampled before it was logged. Joints that a log
+has beside the robot's chain are named: what drives them is not looked for.
 """
 
 from collections.abc import Iterator, Sequence

@@ -44,6 +44,7 @@ TRACE_POINTS = 200  # of what a report draws
 STEP_AT_S = 1.0
 STEP_LASTS_S = 1.0
 STEP_SHARE = 0.1  # of the joint's travel in the logs
+SHOWN_BEFORE_S = 0.1  # of what was before the step
 # What a joint has that moves as it was measured.
 NO_DRIVE = JointDrive(
     parameters=[], command="held", command_known=False, left=None, rmse=None, samples=0
@@ -459,15 +460,16 @@ def step_responses(
         led[:, :, [j for j in range(len(names)) if j not in driven]] = 0.0
     asked = Asked(c=c, dc=nothing, ddc=nothing, led=led)
     run = loop.run(middle, rest, rest, asked, STEP_S)
-    every = max(1, count // TRACE_POINTS)
+    begin = round((STEP_AT_S - SHOWN_BEFORE_S) / STEP_S)
+    shown = slice(begin, None, max(1, (count - begin) // TRACE_POINTS))
     traces = {}
     for b, j in enumerate(driven):
         command = np.where(t >= STEP_AT_S, sizes[b], 0.0)
         # By how much the joint goes on from where it has settled.
         before = run.q[round(STEP_AT_S / STEP_S) - 1, b, j]
         traces[names[j]] = ReplayTrace(
-            t=(t[::every] - STEP_AT_S).tolist(),
-            command=command[::every].tolist(),
-            replayed=(run.q[::every, b, j] - before).tolist(),
+            t=(t[shown] - STEP_AT_S).tolist(),
+            command=command[shown].tolist(),
+            replayed=(run.q[shown, b, j] - before).tolist(),
         )
     return traces

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.drive.signals import DriveSignals, delayed_command, shifted
+from seqid_cli.drive.signals import DriveSignals, delayed_command, delayed_sum, shifted
 from seqid_cli.logs.raw import Rows
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
@@ -53,8 +53,8 @@ UNITS = {
 LEAST_STRETCH_S = 1.0
 # Rows are taken so many times per period of the cut-off: others repeat them.
 ROWS_PER_PERIOD = 6.0
-# A block of rows that counts as independent of the others, for errors.
-BLOCK_S = 1.0
+# Rows are off alike over so long at most [s], for errors.
+ALIKE_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,8 @@ class Equations:
 
     X: Array  # (M, p)
     y: Array  # (M,) N m
-    blocks: Rows  # (M,) number of the block of each row
+    at: Rows  # (M,) place of each row on a grid that goes through all logs
+    rate_hz: float  # of that grid
     means: Array  # (p + 1,) of columns and torque, over all rows
 
 
@@ -92,26 +93,25 @@ class JointLaw:
     def equations(self, names: Sequence[str], delays: Delays) -> Equations:
         """Write the law as equations for the parts of some names."""
         parts = []
-        first_block = 0
+        first = 0
+        rate_hz = self.logs[0].rate_hz / self._stride(self.logs[0])
         for log, used, lawful in zip(self.logs, self.used, self.lawful, strict=True):
             columns, y = self.columns(log, names, delays)
             keep = used & np.isfinite(columns).all(axis=1) & np.isfinite(y)
-            stride = max(1, int(log.rate_hz / (ROWS_PER_PERIOD * log.cutoff_hz)))
+            stride = self._stride(log)
             for stretch in self._stretches(lawful, log.rate_hz, INTEGRAL in names):
-                rows = stretch[keep[stretch]][::stride]
+                rows = stretch[keep[stretch] & (stretch % stride == 0)]
                 if len(rows) <= len(names) + 1:
                     continue
-                X = columns[rows]
-                target = y[rows]
-                blocks = (rows / (BLOCK_S * log.rate_hz)).astype(np.intp)
-                parts.append((X, target, blocks - blocks[0] + first_block))
-                first_block = int(parts[-1][2][-1]) + 1
+                parts.append((columns[rows], y[rows], first + rows // stride))
+            first += len(y) // stride + int(ALIKE_S * rate_hz)
         if not parts:
             empty = np.zeros((0, len(names)))
             return Equations(
                 X=empty,
                 y=np.zeros(0),
-                blocks=np.zeros(0, np.intp),
+                at=np.zeros(0, np.intp),
+                rate_hz=rate_hz,
                 means=np.zeros(len(names) + 1),
             )
         X_all = np.concatenate([X for X, _, _ in parts])
@@ -119,9 +119,26 @@ class JointLaw:
         return Equations(
             X=np.concatenate([X - X.mean(axis=0) for X, _, _ in parts]),
             y=np.concatenate([y - y.mean() for _, y, _ in parts]),
-            blocks=np.concatenate([blocks for _, _, blocks in parts]),
+            at=np.concatenate([at for _, _, at in parts]),
+            rate_hz=rate_hz,
             means=np.append(X_all.mean(axis=0), y_all.mean()),
         )
+
+    def _summed(
+        self, log: DriveSignals, error: Array, lag: float, total: float
+    ) -> Array:
+        """Return the integral (N,) of the error [rad s]."""
+        if self.course != "held":
+            return _trapezoids(error) / log.rate_hz
+        # Where a step comes between two rows counts here.
+        command = delayed_sum(log, self.joint, total / log.rate_hz)
+        q = shifted(log.q[:, self.joint], lag)
+        return command - _trapezoids(q) / log.rate_hz
+
+    @staticmethod
+    def _stride(log: DriveSignals) -> int:
+        """Return of how many rows one is taken."""
+        return max(1, int(log.rate_hz / (ROWS_PER_PERIOD * log.cutoff_hz)))
 
     def columns(
         self, log: DriveSignals, names: Sequence[str], delays: Delays
@@ -135,8 +152,7 @@ class JointLaw:
         error = delayed - shifted(log.q[:, j], lag)
         columns = {PROPORTIONAL: error}
         if INTEGRAL in names:
-            summed = np.cumsum(np.where(np.isfinite(error), error, 0.0))
-            columns[INTEGRAL] = (summed - 0.5 * error) / log.rate_hz
+            columns[INTEGRAL] = self._summed(log, error, lag, total)
         if DERIVATIVE in names:
             columns[DERIVATIVE] = -shifted(log.dq[:, j], lag)
         if VELOCITY_FEEDFORWARD in names:
@@ -157,6 +173,12 @@ class JointLaw:
             for start, stop in runs(lawful, len(lawful))
             if stop - start >= least
         ]
+
+
+def _trapezoids(values: Array) -> Array:
+    """Return the sum (N,) of values up to each, half of itself, from what is there."""
+    summed = np.cumsum(np.where(np.isfinite(values), values, 0.0))
+    return np.asarray(summed - 0.5 * values)
 
 
 def own_shares(X: Array) -> Array:

@@ -35,7 +35,7 @@ from seqid_cli.drive.limits import (
 )
 from seqid_cli.drive.row_errors import row_errors
 from seqid_cli.drive.row_fit import JointFit
-from seqid_cli.drive.search import Solution, first_names, refined, search
+from seqid_cli.drive.search import Solution, first_names, refined, same_steps, search
 from seqid_cli.drive.settings import DriveSettings, TermSettings
 from seqid_cli.drive.signals import DriveSignals, courses_of_all
 from seqid_cli.typing import Mask
@@ -45,6 +45,8 @@ FEEDFORWARD = (VELOCITY_FEEDFORWARD, ACCELERATION_FEEDFORWARD)
 MIN_OWN_SHARE = 0.02
 # Share of what is left that a part takes away at least: less is the form of the law.
 MIN_GAIN = 0.005
+# Standard errors by which half of the band moves a number by chance.
+BAND_SIGMA = 3.0
 # Of the RMS speed: slower rows are near a reversal, where friction is any torque.
 SLOW = 0.2
 
@@ -97,10 +99,10 @@ def _fit_course(
         return None
 
     without_top = replace(law, used=below(law, law.used, TOP_SHARE * largest))
-    first = search(without_top, first_names(law))
+    first = search(without_top, first_names(law), roughly=True)
     if first is None:
         without_top = law
-        first = search(law, first_names(law))
+        first = search(law, first_names(law), roughly=True)
     if first is None:
         return None
     limit = torque_limit_of(law, first, largest)
@@ -110,7 +112,7 @@ def _fit_course(
             used=below(law, law.used, NEAR_LIMIT * limit.value),
             lawful=below(law, law.lawful, NEAR_LIMIT * limit.value),
         )
-        again = search(law, first_names(law))
+        again = search(law, first_names(law), roughly=True)
         first = first if again is None else again
 
     shares = _shares(law, first.delays)
@@ -118,7 +120,7 @@ def _fit_course(
     if PROPORTIONAL not in shown:
         shown = [PROPORTIONAL]
     # Another law may have another delay: the whole grid once more.
-    solution = search(law, shown)
+    solution = search(law, shown, roughly=True)
     if solution is None:
         return None
     names, solution, refused = _without_absent(law, shown, solution, settings)
@@ -185,14 +187,14 @@ def _without_absent(
         weakest = int(order[0])
         fewer = [name for k, name in enumerate(names) if k != weakest]
         # The integral changes which rows share an offset: both on the same ones.
-        simpler = refined(law, fewer, solution.delays)
+        simpler = same_steps(law, fewer, solution.delays)
         gain = 1.0 - solution.squares / max(simpler.squares, 1e-300)
         if is_part(float(sigma[weakest]), gain, settings.terms):
             break
         refused[names[weakest]] = float(errors[weakest])
         names = fewer
         solution = simpler
-    return tuple(names), solution, refused
+    return tuple(names), refined(law, names, solution.delays), refused
 
 
 def is_part(sigma: float, gain: float, settings: TermSettings) -> bool:
@@ -232,19 +234,15 @@ def _described(
             other.delays.torque - solution.delays.torque,
         ],
     )
-    errors = np.hypot(errors, change)
+    # A change that noise makes as well is none that the band makes.
+    by_noise = BAND_SIGMA * row_errors(in_half, names, other)
+    errors = np.sqrt(errors**2 + np.maximum(change**2 - by_noise**2, 0.0))
 
     keys = [*names, "command_delay", "torque_lag"]
     values = np.append(
         solution.theta, [solution.delays.command, solution.delays.torque]
     )
     std_errors = dict(zip(keys, errors.tolist(), strict=True))
-    if law.course == "held":
-        # The torque of a row says only that a step came since the row before.
-        row_error_s = 1.0 / law.logs[0].rate_hz / np.sqrt(12.0)
-        std_errors["command_delay"] = float(
-            np.hypot(std_errors["command_delay"], row_error_s)
-        )
     torque_rms = float(np.sqrt(np.mean(equations.y**2)))
     rmse = float(np.sqrt(solution.squares))
     mean_theta = float(equations.means[:-1] @ solution.theta)

@@ -47,6 +47,7 @@ WINDOW_UNITS: Mapping[str, str] = {
     "torque_lag": "s",
     "armature": "kg m^2",
     "coulomb": "N m",
+    "viscous": "N m s/rad",
     "friction_factor": "1",
     "stribeck": "N m",
     "stribeck_speed": "rad/s",

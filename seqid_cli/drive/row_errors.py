@@ -1,82 +1,112 @@
 """Standard errors of a fit by rows.
 
-They are those of Gauss-Newton with the delays as unknowns beside the gains, widened by
-blocks of a second (sandwich): what is left is no white noise.
+They are those of Gauss-Newton with the delays as unknowns beside the gains (J), and
+what is left over (r) is no white noise: with its covariance R,
+
+    cov = (J' J)^-1 J' R J (J' J)^-1.
+
+R is read off what is left: its correlation over time, up to `ALIKE_S`. That takes all
+rows together, and is much surer than the scatter of the few blocks that a log has. What
+is left is not alike everywhere, though: where a joint turns round, rows miss how its
+speed bends. So the scatter over short stretches is looked at as well, and the larger
+one of both counts.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
-from seqid_cli.drive.equations import Equations, JointLaw
+from seqid_cli.drive.equations import ALIKE_S, Equations, JointLaw
 from seqid_cli.drive.search import Solution, solved_at
+from seqid_cli.drive.slopes import slopes_over_delays
 from seqid_cli.typing import Array
 
-# Steps in which delays are moved for their columns [s]: much less than a period of the
-# band, much more than rounding.
-STEP_S = 2e-4
-# By so much rows, commands and torque may be late against each other [s]: half a
-# step of a fast controller. No residual shows it.
+# A held command takes effect where the controller looks next [s]: half a step of a fast
+# one. It bends the speed between two rows, which looks like a lag of a part of a row.
 LATE_S = 1e-4
+LATE_ROWS = 0.02
+# Stretches of time, longer than the filter's memory, in which a motion bends once [s].
+BEND_S = 0.2
+# Lags up to this share of the longest count in full, those beyond less and less.
+IN_FULL = 0.5
 
 
 def row_errors(law: JointLaw, names: Sequence[str], solution: Solution) -> Array:
-    """Return standard errors (p + 2,) of gains and delays, the lag's last.
-
-    The scatter over blocks counts, not that of rows, which are not independent. What
-    the gains move by where rows are late against each other counts as well.
-    """
+    """Return standard errors (p + 2,) of gains and delays, the lag's last."""
     equations = law.equations(names, solution.delays)
-    J = _jacobian(law, names, solution, equations)
+    slopes = slopes_over_delays(law, names, solution.theta, solution.delays, equations)
+    J = np.hstack([equations.X, slopes])
     left = equations.y - equations.X @ solution.theta
-    blocks = equations.blocks
 
     scale = np.linalg.norm(J, axis=0)
     scale[scale == 0.0] = 1.0
-    inverse = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-10)
-    scores = np.zeros((int(blocks.max()) + 1, J.shape[1]))
-    np.add.at(scores, blocks, (J / scale) * left[:, None])
-    n_blocks = max(2, np.count_nonzero(scores.any(axis=1)))
+    J = J / scale
+    inverse = np.linalg.pinv(J.T @ J, rcond=1e-10)
     p = J.shape[1]
-    # Few blocks bend the fit towards themselves.
-    inflation = n_blocks / max(1.0, n_blocks - p)
-    covariance = inverse @ (scores.T @ scores) @ inverse * inflation
-    errors = np.zeros(len(names) + 2)
-    errors[:p] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
-    return np.hypot(errors, _moved_by_stamps(law, names, solution))
+    of_scores = (_of_scores(J, left, equations), _of_bends(J, left, equations))
+    each = [np.diag(inverse @ scores @ inverse) for scores in of_scores]
+    variances = np.zeros(len(names) + 2)
+    variances[:p] = np.maximum(*each) / scale**2
+    variances += solution.spread
+    if law.course == "held":
+        variances += _of_steps(law, names, solution)
+    return np.sqrt(variances)
 
 
-def _moved_by_stamps(law: JointLaw, names: Sequence[str], solution: Solution) -> Array:
-    """Return what gains and delays (p + 2,) move by where stamps are off."""
-    moves = np.full(len(names) + 2, LATE_S)
-    moves[: len(names)] = 0.0
-    back_s = -LATE_S if law.course == "held" else 0.0
-    moved = solution.delays.moved(torque=LATE_S, command=back_s)
-    other = solved_at(law, names, moved)
-    if other is not None:
-        moves[: len(names)] = np.abs(other.theta - solution.theta)
-    return moves
+def _of_steps(law: JointLaw, names: Sequence[str], solution: Solution) -> Array:
+    """Return what steps between rows move gains and delays by, squared (p + 2,)."""
+    late_s = float(np.hypot(LATE_S, LATE_ROWS / law.logs[0].rate_hz))
+    squares = np.full(len(names) + 2, late_s**2)
+    squares[: len(names)] = 0.0
+    # The whole time is off, or the motion against the command alone.
+    for move in ({"command": late_s}, {"torque": late_s, "command": -late_s}):
+        moved = solved_at(law, names, solution.delays.moved(**move))
+        if moved is not None:
+            squares[: len(names)] += (moved.theta - solution.theta) ** 2
+    return squares
 
 
-def _jacobian(
-    law: JointLaw, names: Sequence[str], solution: Solution, equations: Equations
-) -> Array:
-    """Return the columns (M, p + 1 or p + 2) of gains and delays."""
-    columns = [equations.X]
-    # What steps has no slope over its delay; a lag moves the motion alone then.
-    steps = law.course == "held"
-    moves = [{"command": 0.0 if steps else STEP_S}]
-    if law.logs[0].measured:
-        moves.append({"torque": STEP_S, "command": -STEP_S if steps else 0.0})
-    for move in moves:
-        later = law.equations(names, solution.delays.moved(**move))
-        earlier = law.equations(
-            names, solution.delays.moved(**{k: -v for k, v in move.items()})
-        )
-        if not len(later.y) == len(earlier.y) == len(equations.y):
-            # Rows at an end come and go: the slope is left out.
-            columns.append(np.zeros((len(equations.y), 1)))
-            continue
-        change = (later.X - earlier.X) @ solution.theta / (2.0 * STEP_S)
-        columns.append(change[:, None])
-    return np.hstack(columns)
+def _of_bends(J: Array, left: Array, equations: Equations) -> Array:
+    """Return the same (p, p) from the scatter over short stretches of time."""
+    length = max(1, round(BEND_S * equations.rate_hz))
+    scores = np.zeros((int(equations.at[-1]) // length + 1, J.shape[1]))
+    np.add.at(scores, equations.at // length, J * left[:, None])
+    n = max(J.shape[1] + 1, np.count_nonzero(scores.any(axis=1)))
+    return np.asarray(scores.T @ scores) * n / (n - J.shape[1])
+
+
+def _of_scores(J: Array, left: Array, equations: Equations) -> Array:
+    """Return J' R J (p, p), R the covariance of what is left over (M,)."""
+    lags = max(2, round(ALIKE_S * equations.rate_hz))
+    n = int(equations.at[-1]) + 1
+    size = next_fast_len(n + lags, real=True)
+
+    def on_grid(values: Array) -> Array:
+        grid = np.zeros((n, *values.shape[1:]))
+        grid[equations.at] = values
+        return np.asarray(rfft(grid, size, axis=0))
+
+    def correlation(values: Array) -> Array:
+        spectrum = on_grid(values)
+        return np.asarray(irfft((spectrum * spectrum.conj()).real, size)[:lags])
+
+    pairs = np.maximum(correlation(np.ones(len(left))), 1.0)
+    gamma = correlation(left) / pairs
+    lag = np.arange(lags) / lags
+    gamma *= np.clip((1.0 - lag) / (1.0 - IN_FULL), 0.0, 1.0)
+    symmetric = np.zeros(size)
+    symmetric[:lags] = gamma
+    symmetric[size - lags + 1 :] = gamma[:0:-1]
+    density = np.maximum(rfft(symmetric).real, 0.0)
+    # A fit takes away of what is left: so many numbers of so many independent rows.
+    independent = len(left) * gamma[0] ** 2 / max(float(symmetric @ symmetric), 1e-300)
+    share = min(0.5, J.shape[1] / max(independent, 1.0))
+
+    spectrum = on_grid(J)
+    twice = np.full(len(density), 2.0)
+    twice[0] = 1.0
+    if size % 2 == 0:
+        twice[-1] = 1.0
+    weighted = spectrum.conj() * (twice * density / size)[:, None]
+    return np.asarray((weighted.T @ spectrum).real) / (1.0 - share)

@@ -1,14 +1,13 @@
 """Gains at given delays by least squares, and the delays by search.
 
 Given both delays the law is linear (`equations`). They are searched on a grid first,
-which has no wrong minimum to fall into, then by the simplex.
+which has no wrong minimum to fall into, then by Gauss-Newton.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.drive.equations import (
     DERIVATIVE,
@@ -17,15 +16,23 @@ from seqid_cli.drive.equations import (
     Delays,
     JointLaw,
 )
+from seqid_cli.drive.slopes import slopes_over_delays
 from seqid_cli.inspect.channels.commands import FOLLOWED, lag_between
 from seqid_cli.typing import Array
 
 FEWEST_ROWS = 40  # of all logs, for a controller to be fitted
 # Commands that step are looked for within so many rows of the grid's best, in steps of
-# a share of a row; what leaves so little more is as good.
+# a share of a row; then within so many finer steps, as long as one of them is likely.
 HELD_ROWS = 1.5
 HELD_STEP = 0.25
-AS_GOOD = 1e-3
+HELD_FINER = 5
+FINEST_S = 2e-5
+# Rounds of Gauss-Newton at most, shares of a step that are tried, and a step [s] after
+# which none follows.
+ROUNDS = 8
+SHARES = (1.0, 0.3, 0.1)
+NEAR_S = 1e-7
+NEAR_LAG_S = 1e-4
 # A command is looked for as late as this [s]: loops that are slower are none.
 MAX_DELAY_S = 0.25
 # The torque's channel is looked for as late as this [s]: filters of a drive take less.
@@ -42,6 +49,8 @@ class Solution:
     delays: Delays
     theta: Array  # (p,)
     squares: float  # (N m)^2, left over
+    # What delays that are as likely move gains and delays by, squared (p + 2,).
+    spread: Array | float = 0.0
 
     def opposes(self, names: Sequence[str]) -> bool:
         """Tell whether the law drives errors back and takes energy away.
@@ -73,8 +82,13 @@ def solved_at(law: JointLaw, names: Sequence[str], delays: Delays) -> Solution |
     return Solution(delays=delays, theta=theta, squares=float(np.mean(left**2)))
 
 
-def search(law: JointLaw, names: Sequence[str]) -> Solution | None:
-    """Find both delays on a grid, then by the simplex."""
+def search(
+    law: JointLaw, names: Sequence[str], *, roughly: bool = False
+) -> Solution | None:
+    """Find both delays on a grid, then between its places.
+
+    `roughly`: commands that step are not looked for within a row.
+    """
     lags = np.linspace(0.0, MAX_LAG_S, LAG_GRID)
     if not law.logs[0].measured:
         lags = lags[:1]
@@ -94,7 +108,20 @@ def search(law: JointLaw, names: Sequence[str]) -> Solution | None:
             ):
                 best = solution
                 best_opposes = opposes
-    return None if best is None else refined(law, names, best.delays)
+    if best is None:
+        return None
+    if roughly:
+        return same_steps(law, names, best.delays)
+    return refined(law, names, best.delays)
+
+
+def same_steps(law: JointLaw, names: Sequence[str], start: Delays) -> Solution:
+    """Find both delays; when commands that step arrive stays as it is."""
+    if law.course != "held":
+        return refined(law, names, start)
+    solution = _with_lag(law, names, start.command + start.torque, start.torque)
+    assert solution is not None
+    return solution
 
 
 def _longest_delay(law: JointLaw) -> float:
@@ -122,90 +149,124 @@ def refined(law: JointLaw, names: Sequence[str], start: Delays) -> Solution:
     """Find both delays between the places of the grid."""
     if law.course == "held":
         return _refined_held(law, names, start)
-    measured = law.logs[0].measured
-    scale_s = 1e-3
+    best = solved_at(law, names, start)
+    assert best is not None
+    for _ in range(ROUNDS):
+        step = _step(law, names, best)
+        other = _better(law, names, best, step)
+        if other is None:
+            break
+        best = other
+        if np.abs(step).max() < NEAR_S:
+            break
+    return best
 
-    def at(x: Array) -> Delays:
-        lag = float(x[1]) * scale_s if measured else 0.0
-        return Delays(command=float(x[0]) * scale_s, torque=lag)
 
-    def squares(x: Array) -> float:
-        delays = at(x)
-        beyond = max(-delays.torque, delays.torque - 2.0 * MAX_LAG_S)
-        if beyond > 0.0:  # the simplex is led back
-            inside = Delays(
-                command=delays.command,
-                torque=float(np.clip(delays.torque, 0.0, None)),
-            )
-            solution = solved_at(law, names, inside)
-            worst = np.inf if solution is None else solution.squares
-            return float(worst * (1.0 + beyond / scale_s))
-        solution = solved_at(law, names, delays)
-        if solution is None or (start_opposes and not solution.opposes(names)):
-            return np.inf
-        return solution.squares
+def _step(law: JointLaw, names: Sequence[str], at: Solution) -> Array:
+    """Return the step of Gauss-Newton in the delays (2,) [s]."""
+    equations = law.equations(names, at.delays)
+    slopes = slopes_over_delays(law, names, at.theta, at.delays, equations)
+    J = np.hstack([equations.X, slopes])
+    left = equations.y - equations.X @ at.theta
+    scale = np.linalg.norm(J, axis=0)
+    scale[scale == 0.0] = 1.0
+    change = np.linalg.lstsq(J / scale, left, rcond=1e-10)[0] / scale
+    step = np.zeros(2)
+    step[: slopes.shape[1]] = change[len(names) :]
+    return np.clip(step, -GRID_S, GRID_S)
 
-    first = solved_at(law, names, start)
-    start_opposes = first is not None and first.opposes(names)
-    x0 = np.array([start.command, start.torque]) / scale_s
-    if not measured:
-        x0 = x0[:1]
-    simplex = np.vstack([x0, x0 + 2.0 * np.eye(len(x0))])
-    found = minimize(
-        squares,
-        x0,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": simplex,
-            "xatol": 1e-3,
-            "fatol": 0.0,
-            "maxiter": 80,
-        },
-    )
-    x = found.x.copy()
-    if measured:
-        x[1] = max(x[1], 0.0)
-    solution = solved_at(law, names, at(x))
-    assert solution is not None
-    return solution
+
+def _better(
+    law: JointLaw, names: Sequence[str], best: Solution, step: Array
+) -> Solution | None:
+    """Return a solution a step on, or a part of it, that leaves less; None for none."""
+    opposes = best.opposes(names)
+    for share in SHARES:
+        delays = best.delays.moved(
+            command=float(share * step[0]), torque=float(share * step[1])
+        )
+        if not -MAX_LAG_S <= delays.torque <= 2.0 * MAX_LAG_S:
+            continue
+        other = solved_at(law, names, delays)
+        if other is None or (opposes and not other.opposes(names)):
+            continue
+        if other.squares < best.squares:
+            return other
+    return None
 
 
 def _refined_held(law: JointLaw, names: Sequence[str], start: Delays) -> Solution:
     """Find both delays where commands step: all between two rows is one and the same.
 
-    The middle of what is as good as the best counts.
+    Every time from command to torque counts as much as it is likely. The mean of all is
+    the answer, and what they differ by belongs to its error.
     """
-    row_s = 1.0 / law.logs[0].rate_hz
-    around = np.arange(-HELD_ROWS, HELD_ROWS + 1e-9, HELD_STEP) * row_s
-    totals = start.command + start.torque + around
-    solutions = []
-    for total in totals:
-        solution = _best_lag(law, names, float(total))
-        if solution is not None:
-            solutions.append(solution)
-    least = min(solution.squares for solution in solutions)
-    good = [s for s in solutions if s.squares <= (1.0 + AS_GOOD) * least]
-    middle = float(np.mean([s.delays.command + s.delays.torque for s in good]))
-    best = min(good, key=lambda s: abs(s.delays.command + s.delays.torque - middle))
-    delays = Delays(command=middle - best.delays.torque, torque=best.delays.torque)
-    return solved_at(law, names, delays) or best
+    step_s = HELD_STEP / law.logs[0].rate_hz
+    middle = start.command + start.torque
+    around = np.arange(-HELD_ROWS, HELD_ROWS + 1e-9, HELD_STEP) / law.logs[0].rate_hz
+    lag = start.torque
+    while True:
+        solutions = []
+        for total in middle + around:
+            solution = _with_lag(law, names, float(total), lag)
+            if solution is not None:
+                solutions.append(solution)
+        weights = _likelihoods(law, solutions)
+        likeliest = solutions[int(np.argmax(weights))]
+        lag = likeliest.delays.torque
+        unknowns = np.array([_unknowns_of(solution) for solution in solutions])
+        mean = weights @ unknowns
+        spread = weights @ (unknowns - mean) ** 2
+        totals = unknowns[:, -2:].sum(axis=1)
+        middle = float(weights @ totals)
+        spread_s = float(np.sqrt(weights @ (totals - middle) ** 2))
+        if spread_s > step_s or step_s < FINEST_S:
+            break
+        step_s = 0.25 * step_s
+        around = np.arange(-HELD_FINER, HELD_FINER + 1) * step_s
+    delays = Delays(command=float(mean[-2]), torque=float(mean[-1]))
+    best = solved_at(law, names, delays) or likeliest
+    # A step of the grid is as good as any place in it.
+    spread[-2] += step_s**2 / 12.0
+    return replace(best, spread=spread)
 
 
-def _best_lag(law: JointLaw, names: Sequence[str], total_s: float) -> Solution | None:
+def _unknowns_of(solution: Solution) -> Array:
+    """Return gains and both delays (p + 2,)."""
+    delays = [solution.delays.command, solution.delays.torque]
+    return np.append(solution.theta, delays)
+
+
+def _likelihoods(law: JointLaw, solutions: Sequence[Solution]) -> Array:
+    """Return how likely each solution is, all together 1."""
+    squares = np.array([solution.squares for solution in solutions])
+    rows = sum(int(np.count_nonzero(used)) for used in law.used)
+    log = law.logs[0]
+    # Rows within half a period of the cut-off repeat each other.
+    independent = rows * 2.0 * log.cutoff_hz / log.rate_hz
+    weights = np.exp(-0.5 * independent * (squares / squares.min() - 1.0))
+    return np.asarray(weights / weights.sum())
+
+
+def _with_lag(
+    law: JointLaw, names: Sequence[str], total_s: float, lag_s: float
+) -> Solution | None:
     """Find the torque's lag where the time from command to torque is given."""
 
     def at(lag: float) -> Solution | None:
-        delays = Delays(command=total_s - lag, torque=lag)
-        return solved_at(law, names, delays)
+        return solved_at(law, names, Delays(command=total_s - lag, torque=lag))
 
-    if not law.logs[0].measured:
-        return at(0.0)
-
-    def squares(lag: float) -> float:
-        solution = at(lag)
-        return np.inf if solution is None else solution.squares
-
-    found = minimize_scalar(
-        squares, bounds=(0.0, MAX_LAG_S), method="bounded", options={"xatol": 2e-5}
-    )
-    return at(float(found.x))
+    best = at(lag_s if law.logs[0].measured else 0.0)
+    if best is None or not law.logs[0].measured:
+        return best
+    for _ in range(ROUNDS):
+        step_s = float(_step(law, names, best)[1])
+        lag = best.delays.torque + step_s
+        other = at(float(np.clip(lag, -MAX_LAG_S, 2.0 * MAX_LAG_S)))
+        if other is None or not other.squares < best.squares:
+            break
+        best = other
+        # What the next step would move is the square of this one.
+        if abs(step_s) < NEAR_LAG_S:
+            break
+    return best

@@ -5,11 +5,12 @@ low-pass of all of them leaves the law as it is. The encoder's noise is no error
 the controller has seen the same noise.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from seqid_cli.drive.effects import ArmEffects
 from seqid_cli.drive.friction_table import AddedFriction, FrictionTable
@@ -36,6 +37,9 @@ KNOTS = np.arange(-3, 5)
 # Beyond the positions and speeds of the log, as a share of them, to which friction is
 # tabled: a simulated joint overshoots where the real one did not.
 MARGIN = 0.2
+# Delays of commands that step are told apart by so many digits of a second.
+DELAY_DIGITS = 9
+MOST_HELD = 100  # of these commands are kept: they take memory
 # A joint stands that has moved by less than so many steps of its encoder for so long.
 STANDS_S = 0.1
 STANDS_STEPS = 1.5
@@ -95,6 +99,8 @@ class DriveSignals:
     command_period_s: float
     noise_step: Array
     raw: Recording
+    # What commands that step do, low-passed, by joint and delay.
+    held: dict[tuple[str, int, float], Array] = field(default_factory=dict, repr=False)
 
     def command_steps(self, joint: int) -> tuple[Array, Array]:
         """Return when a joint's commands were sent (K,) [s], and these (K,) [rad]."""
@@ -265,7 +271,26 @@ def command_at(log: DriveSignals, course: str, joint: int, t: Array) -> Array:
         # A stamp that lies on a row is rounded.
         latest = np.searchsorted(times, t + 1e-6 / log.rate_hz, side="right") - 1
         return np.asarray(column[np.maximum(latest, 0)])
+    if log.sent is None and len(times) > 2:
+        # Samples of a smooth command: chords would be short of every bend.
+        curve = Akima1DInterpolator(times, column, method="makima")
+        return np.asarray(curve(np.clip(t, times[0], times[-1])), np.float64)
     return np.interp(t, times, column)
+
+
+def sum_of_steps(log: DriveSignals, joint: int, t: Array) -> Array:
+    """Return the integral over time of a joint's held command at some times [rad s]."""
+    times, column = log.command_steps(joint)
+    # The integral of what steps is a chain of straight lines.
+    summed = np.concatenate([[0.0], np.cumsum(np.diff(times) * column[:-1])])
+    before = column[0] * np.minimum(t - times[0], 0.0)
+    after = column[-1] * np.maximum(t - times[-1], 0.0)
+    return np.asarray(np.interp(t, times, summed) + before + after)
+
+
+def delayed_sum(log: DriveSignals, joint: int, delay_s: float) -> Array:
+    """Return the integral (N,) of a held command some time before, low-passed."""
+    return _kept(log, "sum", joint, delay_s, sum_of_steps)
 
 
 def delayed_command(
@@ -278,9 +303,29 @@ def delayed_command(
     """
     if course != "held":
         return shifted(log.commands[course].c[:, joint], delay_s * log.rate_hz)
-    sampled = command_at(log, course, joint, log.raw.t - delay_s)
-    lowpass = Lowpass(log.cutoff_hz, log.rate_hz)
-    return lowpass(sampled[:, None], log.raw.valid)[:, 0]
+    return _kept(log, "step", joint, delay_s, _held_command)
+
+
+def _held_command(log: DriveSignals, joint: int, t: Array) -> Array:
+    return command_at(log, "held", joint, t)
+
+
+def _kept(
+    log: DriveSignals,
+    kind: str,
+    joint: int,
+    delay_s: float,
+    at: Callable[[DriveSignals, int, Array], Array],
+) -> Array:
+    """Return what a command does some time before, low-passed: a search asks often."""
+    key = (kind, joint, round(delay_s, DELAY_DIGITS))
+    if key not in log.held:
+        if len(log.held) >= MOST_HELD:
+            log.held.clear()
+        sampled = at(log, joint, log.raw.t - delay_s)
+        lowpass = Lowpass(log.cutoff_hz, log.rate_hz)
+        log.held[key] = lowpass(sampled[:, None], log.raw.valid)[:, 0]
+    return log.held[key]
 
 
 def shifted(values: Array, samples: float) -> Array:

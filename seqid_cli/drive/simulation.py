@@ -56,6 +56,7 @@ class Gains:
     dead_band: Array  # rad, of the error of the position
     armature: Array  # kg m^2
     coulomb: Array  # N m
+    viscous: Array  # N m s/rad
     friction_factor: Array  # of the model's friction
     stribeck: Array  # N m, by which friction is larger at rest
     stribeck_speed: Array  # rad/s, over which that falls off
@@ -254,7 +255,8 @@ class ClosedLoop:
     ) -> tuple[Array, Array]:
         """Return the least and the largest friction (B, n) N m."""
         gains = self.gains
-        size = gains.coulomb + gains.load_friction * np.abs(load)
+        size = gains.coulomb + gains.viscous * np.abs(v)
+        size = size + gains.load_friction * np.abs(load)
         size = size + gains.stribeck * np.exp(-np.square(v / gains.stribeck_speed))
         limits = [
             table.limits(q[:, j], v[:, j]) for j, table in enumerate(self.friction)

@@ -114,6 +114,7 @@ def gains_of(file: DriveFile, names: Sequence[str]) -> Gains:
         dead_band=column("dead_band"),
         armature=column("armature"),
         coulomb=column("coulomb"),
+        viscous=column("viscous"),
         friction_factor=known("friction_factor", 1.0),
         stribeck=column("stribeck"),
         stribeck_speed=known("stribeck_speed", 1.0),

@@ -91,12 +91,13 @@ def friction_of(
     frictions: list[ExportedFriction | None] = []
     for own, joint in zip(model.friction, _joints(model.robot, drive), strict=True):
         coulomb = joint.value("coulomb")
+        viscous = joint.value("viscous")
         factor = joint.known("friction_factor")
         if own is None:
             frictions.append(
                 ExportedFriction(
                     coulomb=coulomb,
-                    viscous=0.0,
+                    viscous=viscous,
                     offset=0.0,
                     rms_misfit=0.0,
                     rms=coulomb,
@@ -109,7 +110,7 @@ def friction_of(
             structs.replace(
                 own,
                 coulomb=share * own.coulomb + coulomb,
-                viscous=share * own.viscous,
+                viscous=share * own.viscous + viscous,
             )
         )
     return tuple(frictions)

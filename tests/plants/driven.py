@@ -26,8 +26,17 @@ SPEEDS = (0.01, 3.0)  # rad/s, of the friction surfaces
 # Friction as hard as the solver makes it. By default it stops a joint over 20 ms, which
 # is a viscous friction below some 0.05 rad/s and no Coulomb's.
 HARD = 0.999
-# Axes across gravity and along it in turn, links of 0.3 m.
-DH = ((np.pi / 2, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0), (np.pi / 2, 0.3, 0.0, 0.0))
+# By so much messages are late at most, those of a clock of their own [s].
+JITTER_S = 5e-4
+# Three axes of an arm with links of 0.3 m, and three of a wrist.
+DH = (
+    (np.pi / 2, 0.0, 0.0, 0.0),
+    (0.0, 0.3, 0.0, 0.0),
+    (np.pi / 2, 0.3, 0.0, 0.0),
+    (-np.pi / 2, 0.0, 0.3, 0.0),
+    (np.pi / 2, 0.0, 0.0, 0.0),
+    (-np.pi / 2, 0.0, 0.1, 0.0),
+)
 
 
 @dataclass(frozen=True)
@@ -141,7 +150,8 @@ def multisine(
     phase = rng.uniform(0.0, 2.0 * np.pi, (12, n))
 
     def command(t: Array) -> Array:
-        window = np.clip(t / 1.0, 0.0, 1.0)
+        # A step of the speed would be one of the torque, between two rows.
+        window = np.sin(0.5 * np.pi * np.clip(t / 1.0, 0.0, 1.0)) ** 2
         waves = np.sin(2.0 * np.pi * f * np.asarray(t)[..., None, None] + phase.T)
         return np.asarray(window[..., None] * np.sum(waves * amplitude.T, axis=-1))
 
@@ -164,6 +174,7 @@ def simulate_drive(
     seed: int = 0,
     rate_hz: float = 200.0,
     command_hz: float | None = None,
+    own_clock: bool = False,
     noise: float = 1e-5,
     torque_noise: float = 0.02,
     with_torque: bool = True,
@@ -172,8 +183,10 @@ def simulate_drive(
     """Run an arm after a command and record it.
 
     `command_hz`: commands are sent at this rate and held; without it they are as smooth
-    as the function, and each row has one. `resists`: a torque (n,) N m against the
-    motion besides, a function of positions, speeds and the torque of gravity.
+    as the function, and each row has one. `own_clock`: they are sent at a phase of
+    their own and up to `JITTER_S` late, and not together with rows. `resists`: a torque
+    (n,) N m against the motion besides, a function of positions, speeds and the torque
+    of gravity.
     """
     model = mujoco.MjModel.from_xml_string(_mjcf(arm))
     data = mujoco.MjData(model)
@@ -182,8 +195,10 @@ def simulate_drive(
     steps = round(duration_s / STEP_S)
     t = np.arange(steps) * STEP_S
     sent_t = t - drive.command_delay
+    stamps: Array | None = None
     if command_hz is not None:
-        sent_t = np.floor(np.maximum(sent_t, 0.0) * command_hz + 1e-9) / command_hz
+        stamps = sent_stamps(duration_s, command_hz, seed=seed, own_clock=own_clock)
+        sent_t = latest(stamps, sent_t)
     c = command(np.maximum(sent_t, 0.0))
     dc = np.gradient(c, STEP_S, axis=0)
     data.qpos[:] = command(np.zeros(1))[0]
@@ -231,11 +246,30 @@ def simulate_drive(
         applied,
         command,
         seed=seed,
-        command_hz=command_hz,
+        stamps=stamps,
         noise=noise,
         torque_noise=torque_noise,
         with_torque=with_torque,
     )
+
+
+def sent_stamps(
+    duration_s: float, command_hz: float, *, seed: int, own_clock: bool
+) -> Array:
+    """Return when commands are sent (K,) [s], the first one at 0."""
+    stamps = np.arange(np.ceil(duration_s * command_hz)) / command_hz
+    if own_clock:
+        rng = np.random.default_rng([seed, 78])
+        late = rng.uniform(0.0, 1.0 / command_hz)
+        late = late + rng.uniform(0.0, JITTER_S, len(stamps))
+        stamps = np.append(0.0, stamps + late)
+    return stamps
+
+
+def latest(stamps: Array, t: Array) -> Array:
+    """Return the latest of some stamps (K,) at each time, the first one before it."""
+    number = np.searchsorted(stamps, t + 1e-9, side="right") - 1
+    return np.asarray(stamps[np.maximum(number, 0)])
 
 
 def _recording(
@@ -245,7 +279,7 @@ def _recording(
     command: Any,
     *,
     seed: int,
-    command_hz: float | None,
+    stamps: Array | None,
     noise: float,
     torque_noise: float,
     with_torque: bool,
@@ -259,8 +293,8 @@ def _recording(
     sent = t
     age = None
     form: CommandForm = "sampled"
-    if command_hz is not None:
-        sent = np.floor(t * command_hz + 1e-9) / command_hz
+    if stamps is not None:
+        sent = latest(stamps, t)
         age = t - sent
         form = "sent"
     return Recording(

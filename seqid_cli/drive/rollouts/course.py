@@ -15,12 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from seqid_cli.drive.signals import (
     STANDS_S,
     STANDS_STEPS,
     DriveSignals,
     command_at,
+    sum_of_steps,
 )
 from seqid_cli.logs.raw import Rows
 from seqid_cli.model.torque import TorqueModel
@@ -202,17 +204,9 @@ def mean_command(
     """Return a joint's mean command over the steps about some times [rad]."""
     if course != "held":
         return command_at(log, course, joint, t)
-    times, column = log.command_steps(joint)
-    # The integral of what steps is a chain of straight lines.
-    summed = np.concatenate([[0.0], np.cumsum(np.diff(times) * column[:-1])])
-
-    def integral(at: Array) -> Array:
-        before = column[0] * np.minimum(at - times[0], 0.0)
-        after = column[-1] * np.maximum(at - times[-1], 0.0)
-        return np.asarray(np.interp(at, times, summed) + before + after)
-
     half = 0.5 * step_s
-    return (integral(t + half) - integral(t - half)) / step_s
+    later = sum_of_steps(log, joint, t + half)
+    return np.asarray(later - sum_of_steps(log, joint, t - half)) / step_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,12 +234,17 @@ def stands(motion: ArmMotion, joint: int, row: int) -> bool:
     return bool(np.ptp(before) <= STANDS_STEPS * motion.log.noise_step[joint])
 
 
-def arm_motion(log: DriveSignals, model: TorqueModel) -> ArmMotion:
-    """Compute what joints ask of their drives along a log."""
+def arm_motion(
+    log: DriveSignals, model: TorqueModel, *, share: float = 1.0
+) -> ArmMotion:
+    """Compute what joints ask of their drives along a log.
+
+    `share` of the cut-off is taken, to see what the choice does to a fit.
+    """
     raw = log.raw
     survey = survey_of_positions(raw.q, log.rate_hz)
     chosen = survey.cutoff(encoder_resolution(model.robot)).hz
-    lowpass = Lowpass(min(chosen, 0.2 * log.rate_hz), log.rate_hz)
+    lowpass = Lowpass(share * min(chosen, 0.2 * log.rate_hz), log.rate_hz)
     q = lowpass(raw.q, raw.valid)
     dq, ddq = differentiate(q, log.rate_hz, raw.valid)
     still = np.zeros_like(q)
@@ -366,10 +365,9 @@ def _course(
         return np.stack(parts, axis=1)
 
     def at_steps(name: str) -> Array:
-        values = of_rows(name)
-        whole = at.astype(np.intp)
-        part = (at - whole)[:, None]
-        return np.asarray(values[whole] * (1.0 - part) + values[whole + 1] * part)
+        # Chords between rows would be short of every bend by a thousandth.
+        curve = CubicSpline(np.arange(rows), of_rows(name))
+        return np.asarray(curve(at), np.float64)
 
     raw_rows = [
         motions[place.log].log.raw.q[place.start : place.stop, joint]

@@ -1,23 +1,29 @@
 """Standard errors of what windows tell: their scatter, the prior, stamps, and steps.
 
-Windows are independent of each other, rows of one are not: the scatter of the windows'
-gradients counts (sandwich). A prior counts as one observation more.
+Windows are independent of each other, rows of one are not: what leaving out one window
+after the other moves the numbers by counts (jackknife). A prior counts as one
+observation more.
 
 Steps of a simulation are a bias and no scatter. What half of their length moves the
-numbers by is at least a half of what no steps would: it counts twice.
+numbers by is at least a half of what no steps would: it counts twice. So is what the
+low-pass takes of the other joints' motion: half of the band shows what an octave does.
+
+Numbers that are known from elsewhere have errors as well. What each of them moves the
+result by counts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from seqid_cli.drive.rollouts.loop import JointLoop
-from seqid_cli.drive.rollouts.solver import Solved, errors_of
-from seqid_cli.drive.rollouts.unknowns import Unknowns
+from seqid_cli.drive.rollouts.solver import Solved, errors_of, freed
+from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
 from seqid_cli.typing import Array, Mask
 
-# Commands and rows may be late against each other by this [s]; see `row_errors`.
+# A controller acts in steps of its own: half a step of a fast one [s].
 LATE_S = 1e-4
 # A number is the prior's whose error grows so much where the prior is so much wider.
 WIDER = 3.0
@@ -25,13 +31,42 @@ GROWS = 1.5
 
 
 def std_errors(
-    loops: Sequence[JointLoop], unknowns: Unknowns, solution: Solved
+    loops: Sequence[JointLoop],
+    smooth: Sequence[JointLoop],
+    unknowns: Unknowns,
+    solution: Solved,
+    given: Mapping[str, float],
 ) -> Array:
-    """Return standard errors (p,) in what is searched."""
-    information = unknowns.std**-2.0
-    p = len(information)
-    H = np.zeros((p, p))
-    scores = []
+    """Return standard errors (p,) in what is searched.
+
+    Parameters
+    ----------
+    loops, smooth : sequence of JointLoop
+        The windows, and the same with the arm's motion in half of its band.
+    unknowns, solution
+    given : mapping of str to float
+        Standard errors of numbers that are known from elsewhere and not searched.
+    """
+    H = _information(solution) + np.diag(unknowns.std**-2.0)
+    errors = _of_scatter(H, unknowns, solution)
+    inverse = _inverse(H)
+    moved = 2.0 * inverse @ _pull_of_steps(loops, unknowns, solution)
+    errors = np.hypot(errors, moved)
+    other = errors_of(smooth, unknowns, solution.theta[None])
+    errors = np.hypot(errors, inverse @ _pull(solution, [each[0] for each in other]))
+    for pull in _pulls_of_given(loops, unknowns, solution, given):
+        errors = np.hypot(errors, inverse @ pull)
+    late = np.array([name == "command_delay" for name in unknowns.names])
+    return np.asarray(np.hypot(errors, np.where(late, LATE_S, 0.0)))
+
+
+def _of_scatter(H: Array, unknowns: Unknowns, solution: Solved) -> Array:
+    """Return what leaving out one window after the other tells (p,): the jackknife.
+
+    A window that few others are like counts in full then. Few windows tell their
+    scatter itself not surely: the interval of 95 % is that of Student.
+    """
+    moves = []
     first = 0
     for jacobian, off, rho in zip(
         solution.jacobian, solution.errors, solution.scale, strict=True
@@ -39,22 +74,14 @@ def std_errors(
         count = off.shape[-1]
         weights = solution.weights[first : first + count] / rho
         first += count
-        H += np.einsum("prb,qrb,b->pq", jacobian, jacobian, weights)
-        scores.append(np.einsum("prb,rb,b->bp", jacobian, off, weights))
-    H += np.diag(information)
-    by_window = np.concatenate(scores)
+        own = np.einsum("prb,qrb,b->bpq", jacobian, jacobian, weights)
+        scores = np.einsum("prb,rb,b->bp", jacobian, off, weights)
+        moves += [_inverse(H - own[b]) @ (scores[b]) for b in range(count)]
+    by_window = np.array(moves)
     n = len(by_window)
-    inflation = n / max(1.0, n - p)
-    inner = by_window.T @ by_window * inflation + np.diag(information)
-    scale = np.sqrt(np.diag(H))
-    inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12)
-    inverse = inverse / np.outer(scale, scale)
-    covariance = inverse @ inner @ inverse
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    moved = 2.0 * inverse @ _pull_of_steps(loops, unknowns, solution)
-    errors = np.hypot(errors, moved)
-    late = np.array([name == "command_delay" for name in unknowns.names])
-    return np.asarray(np.hypot(errors, np.where(late, LATE_S, 0.0)))
+    by_prior = np.einsum("pk,k->p", _inverse(H) ** 2, unknowns.std**-2.0)
+    wider = float(student.ppf(0.975, n - 1) / 1.96)
+    return wider * np.sqrt(np.sum(by_window**2, axis=0) * (n - 1) / n + by_prior)
 
 
 def of_the_prior(unknowns: Unknowns, solution: Solved) -> Mask:
@@ -85,9 +112,13 @@ def _information(solution: Solved) -> Array:
 
 def _root_of_diagonal(H: Array) -> Array:
     """Return the standard errors (p,) of an information matrix."""
-    scale = np.sqrt(np.diag(H))
+    return np.asarray(np.sqrt(np.diag(_inverse(H))))
+
+
+def _inverse(H: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12)
-    return np.asarray(np.sqrt(np.diag(inverse)) / scale)
+    return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _pull_of_steps(
@@ -95,17 +126,44 @@ def _pull_of_steps(
 ) -> Array:
     """Return what half of the simulation's steps changes in the gradient (p,)."""
     finer = [replace(loop, course=loop.course.finer()) for loop in loops]
-    pull = np.zeros(len(unknowns.searched))
+    fine = errors_of(finer, unknowns, solution.theta[None])
+    return _pull(solution, [each[0] for each in fine])
+
+
+def _pulls_of_given(
+    loops: Sequence[JointLoop],
+    unknowns: Unknowns,
+    solution: Solved,
+    given: Mapping[str, float],
+) -> list[Array]:
+    """Return what a standard error of each given number changes in the gradient."""
+    if not given:
+        return []
+    more = [
+        Unknown(name=name, start=unknowns.fixed[name], std=error, positive=False)
+        for name, error in given.items()
+    ]
+    moved = unknowns.with_more(more)
+    values = [unknowns.fixed[name] for name in given]
+    sets = np.tile(np.append(solution.theta, values), (len(given), 1))
+    sets[:, len(solution.theta) :] += np.diag(list(given.values()))
+    simulated = errors_of(loops, moved, sets)
+    return [_pull(solution, [each[k] for each in simulated]) for k in range(len(given))]
+
+
+def _pull(solution: Solved, errors: Sequence[Array]) -> Array:
+    """Return what other errors (R, B) of each rate change in the gradient (p,)."""
+    pull = np.zeros(len(solution.theta))
     first = 0
-    for jacobian, off, fine, rho in zip(
+    for jacobian, off, other, rho in zip(
         solution.jacobian,
         solution.errors,
-        errors_of(finer, unknowns, solution.theta[None]),
+        freed(errors, solution.starts),
         solution.scale,
         strict=True,
     ):
         count = off.shape[-1]
         weights = solution.weights[first : first + count] / rho
         first += count
-        pull += np.einsum("prb,rb,b->p", jacobian, fine[0] - off, weights)
+        pull += np.einsum("prb,rb,b->p", jacobian, other - off, weights)
     return pull

@@ -44,6 +44,8 @@ GRAVITY_STD = 0.5  # of a share of gravity that a controller adds
 USUAL_HZ = 3.0
 USUAL_DAMPING = 0.7
 USUAL_FRICTION = 0.3
+# Viscous friction as a share of the controller's damping.
+USUAL_VISCOUS = 0.1
 # Standard deviations of logarithms where nothing is known, and at least without torque.
 OPEN_STD = 1.0
 LEAST_STD = 0.3
@@ -92,10 +94,21 @@ class WindowFit:
     solution: Solved
     unknowns: Unknowns
     parts: Parts
+    by_rows: JointFit | None
+
+
+def given_errors(unknowns: Unknowns, by_rows: JointFit) -> dict[str, float]:
+    """Return the standard errors of what rows have told and windows do not search."""
+    return {
+        name: by_rows.std_errors[name]
+        for name in unknowns.fixed
+        if by_rows.std_errors.get(name, 0.0) > 0.0
+    }
 
 
 def fit_windows(
     loops: Sequence[JointLoop],
+    smooth: Sequence[JointLoop],
     by_rows: JointFit | None,
     *,
     measured: bool,
@@ -105,7 +118,8 @@ def fit_windows(
 
     Parameters
     ----------
-    loops : sequence of JointLoop
+    loops, smooth : sequence of JointLoop
+        The windows, and the same with the arm's motion in half of its band.
     by_rows : JointFit, optional
         None where it explains too little to begin with.
     measured : bool
@@ -130,11 +144,14 @@ def fit_windows(
         rms_by_rows = bounded_rms(parts.judged(unknowns, unknowns.mean))
     coulomb = _friction_size(unknowns, start.theta, loops)
     unknowns, base, terms = with_terms(parts, unknowns, start, coulomb)
-    return _finished(loops, parts, unknowns, base, terms, rms_by_rows)
+    return _finished(loops, smooth, parts, unknowns, base, terms, rms_by_rows, by_rows)
 
 
 def refitted(
-    fit: WindowFit, loops: Sequence[JointLoop], means: Mapping[str, tuple[float, float]]
+    fit: WindowFit,
+    loops: Sequence[JointLoop],
+    smooth: Sequence[JointLoop],
+    means: Mapping[str, tuple[float, float]],
 ) -> WindowFit:
     """Return a fit with priors of other servos, where held-out windows do not lose."""
     unknowns = fit.unknowns.centred(means)
@@ -144,22 +161,32 @@ def refitted(
     if gains(after, before):
         return fit
     return _finished(
-        loops, fit.parts, unknowns, solution, list(fit.terms), fit.rms_by_rows
+        loops,
+        smooth,
+        fit.parts,
+        unknowns,
+        solution,
+        list(fit.terms),
+        fit.rms_by_rows,
+        fit.by_rows,
     )
 
 
 def _finished(
     loops: Sequence[JointLoop],
+    smooth: Sequence[JointLoop],
     parts: Parts,
     unknowns: Unknowns,
     base: Solved,
     terms: Sequence[str],
     rms_by_rows: float,
+    by_rows: JointFit | None,
 ) -> WindowFit:
     """Fit all windows once more, and describe the result."""
     rms = bounded_rms(parts.judged(unknowns, base.theta))
     whole = solved(loops, unknowns, base.theta)
-    errors = std_errors(loops, unknowns, whole)
+    given = {} if by_rows is None else given_errors(unknowns, by_rows)
+    errors = std_errors(loops, smooth, unknowns, whole, given)
     is_far = _distance(unknowns, whole.theta) > PLAUSIBLE
     open_numbers = of_the_prior(unknowns, whole) | is_far
     natural = unknowns.natural(whole.theta[None])[0]
@@ -182,6 +209,7 @@ def _finished(
         solution=base,
         unknowns=unknowns,
         parts=parts,
+        by_rows=by_rows,
     )
 
 
@@ -200,7 +228,12 @@ def first_unknowns(
     elif measured:
         # A torque tells them better than positions do.
         fixed = {name: by_rows.values[name] for name in by_rows.names if name in NAMES}
-        fixed["command_delay"] = by_rows.values["command_delay"]
+        delay = _known_delay(by_rows)
+        if by_rows.course == "held":
+            # When a step came between two rows is seen in what moves after it.
+            searched.append(delay)
+        else:
+            fixed[delay.name] = delay.start
     else:
         searched += _known_gains(by_rows)
     gain = fixed.get(PROPORTIONAL) or searched[0].start
@@ -219,6 +252,10 @@ def first_unknowns(
     )
     if nominal:
         searched.append(_open("armature", _usual_inertia(course)))
+        if measured and by_rows is not None:
+            # A torque tells it from the controller's damping.
+            damping = max(fixed.get(DERIVATIVE, 0.0), 1e-9)
+            searched.append(_open("viscous", USUAL_VISCOUS * damping))
     if loops[0].friction is None:
         searched.append(_open("coulomb", max(USUAL_FRICTION * torque, 1e-9)))
     else:
@@ -278,17 +315,19 @@ def _known_gains(by_rows: JointFit) -> list[Unknown]:
                 positive=False,
             )
         )
-    delay_std = max(by_rows.std_errors["command_delay"], LEAST_DELAY_STD_S)
-    unknowns.append(
-        Unknown(
-            name="command_delay",
-            start=by_rows.values["command_delay"],
-            std=delay_std,
-            positive=False,
-            step=DELAY_STEP_S,
-        )
-    )
+    delay = _known_delay(by_rows)
+    unknowns.append(replace(delay, std=max(delay.std, LEAST_DELAY_STD_S)))
     return unknowns
+
+
+def _known_delay(by_rows: JointFit) -> Unknown:
+    return Unknown(
+        name="command_delay",
+        start=by_rows.values["command_delay"],
+        std=by_rows.std_errors["command_delay"],
+        positive=False,
+        step=DELAY_STEP_S,
+    )
 
 
 def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Solved]:

@@ -52,9 +52,12 @@ def fit_all_windows(
         What the model's file has beside it.
     """
     effects = effects or ArmEffects.none(model)
-    motions = [arm_motion(log, model) for log in logs]
+    motions, smoother = (
+        [arm_motion(log, model, share=share) for log in logs] for share in (1.0, 0.5)
+    )
     fits: dict[int, WindowFit] = {}
     loops: dict[int, list[JointLoop]] = {}
+    smooth: dict[int, list[JointLoop]] = {}
     for joint, fit in by_rows.items():
         if fit is not None:
             course = fit.course
@@ -64,30 +67,38 @@ def fit_all_windows(
         torque_limit, velocity_limit = (
             np.inf if limit is None else limit.value for limit in limits
         )
-        loops[joint] = [
-            JointLoop(
-                course=each,
-                friction=_friction(effects, logs, joint),
-                torque_limit=torque_limit,
-                velocity_limit=velocity_limit,
-            )
-            for each in courses_of(
-                motions,
-                joint,
-                course,
-                window_s=WINDOW_S,
-                most=int(settings.windows.most),
-            )
-        ]
+        friction = _friction(effects, logs, joint)
+        loops[joint], smooth[joint] = (
+            [
+                JointLoop(
+                    course=each,
+                    friction=friction,
+                    torque_limit=torque_limit,
+                    velocity_limit=velocity_limit,
+                )
+                for each in courses_of(
+                    of_arm,
+                    joint,
+                    course,
+                    window_s=WINDOW_S,
+                    most=int(settings.windows.most),
+                )
+            ]
+            for of_arm in (motions, smoother)
+        )
         result = fit_windows(
-            loops[joint], fit, measured=logs[0].measured, nominal=nominal
+            loops[joint],
+            smooth[joint],
+            fit,
+            measured=logs[0].measured,
+            nominal=nominal,
         )
         if result is not None:
             fits[joint] = result
     if same_servos:
         for joint, own in list(fits.items()):
             others = [each for j, each in fits.items() if j != joint]
-            fits[joint] = refitted(own, loops[joint], shared(others))
+            fits[joint] = refitted(own, loops[joint], smooth[joint], shared(others))
     return fits
 
 

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from seqid_cli.drive.friction_table import FrictionTable
+from seqid_cli.drive.friction_table import FrictionAlong, FrictionTable
 from seqid_cli.drive.rollouts.course import JointCourse
 from seqid_cli.logs.raw import Rows
 from seqid_cli.typing import Array
@@ -27,6 +27,8 @@ from seqid_cli.typing import Array
 FASTEST = 1e3  # rad/s, that no joint reaches
 FARTHEST = 1e3  # rad
 HOLDS = 1e-9  # share by which friction holds more than it must: rounding moves nothing
+# Steps of which all that is known before is computed at once: more of them take memory.
+PIECE = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +44,14 @@ class LoopValues:
     command_delay: Array  # s
     armature: Array  # kg m^2 beside the model
     coulomb: Array  # N m beside the model
+    viscous: Array  # N m s/rad beside the model
     friction_factor: Array  # of the model's friction
     stribeck: Array  # N m, by which friction is larger at rest
     stribeck_speed: Array  # rad/s, over which that falls off
     load_friction: Array  # N m per N m behind the gear
     dead_band: Array  # rad, of the controller's error
+    start_offset: Array  # rad, rad/s, by which windows begin elsewhere than the log
+    start_speed: Array
 
     def has(self, name: str) -> bool:
         """Tell whether a number is not zero in any set."""
@@ -79,7 +84,7 @@ class _Run:
 
     loop: JointLoop
     values: LoopValues
-    holding: Array | float = 0.0  # (S, B) N m, of friction beyond its law at rest
+    holding: Array | None = None  # (S, B) N m, of friction beyond its law at rest
 
     @cached_property
     def course(self) -> JointCourse:
@@ -115,61 +120,43 @@ class _Run:
         """Step through the windows; returns positions (S, R, B) [rad] at the rows."""
         course = self.course
         per_row = course.per_row
-        q = np.broadcast_to(course.q0, self.shape).copy()
-        v = np.broadcast_to(course.v0, self.shape).copy()
-        summed: Array | None = None
+        q = np.broadcast_to(course.q0, self.shape) + self.values.start_offset
+        v = np.broadcast_to(course.v0, self.shape) + self.values.start_speed
+        integral = _Integral(self) if self.values.has("integral") else None
         out = np.empty((self.shape[0], len(course.q), self.shape[1]))
         out[:, 0] = q
-        for k in range(len(course.along)):
-            u, error = self._law(k, q)
-            if self.values.has("integral"):
-                if summed is None:
-                    summed = self._first_integral(u, v)
-                u = u + self.values.integral * summed
-                summed = summed + error * course.step_s
-            if k == 0:
-                self._hold(u, v)
-            v = self._next_speed(k, q, v, u)
-            q = q + course.step_s * v
-            if (k + 1) % per_row == 0:
-                out[:, (k + 1) // per_row] = q
         # A loop that is not stable stays a number, and far off.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for steps in _pieces(len(course.along)):
+                piece = _Piece(run=self, steps=steps)
+                for i, k in enumerate(range(steps.start, steps.stop)):
+                    u = piece.law(i, q)
+                    if integral is not None:
+                        u = integral.added(k, u, q, v)
+                    if k == 0:
+                        self._hold(piece, u, v)
+                    v = self._next_speed(piece, k, q, v, u)
+                    q = q + course.step_s * v
+                    if (k + 1) % per_row == 0:
+                        out[:, (k + 1) // per_row] = q
         return np.clip(np.nan_to_num(out, nan=FARTHEST), -FARTHEST, FARTHEST)
 
-    def _law(self, k: int, q: Array) -> tuple[Array, Array]:
-        """Return what a controller asks for without damping, and its error (S, B)."""
-        values = self.values
-        _, of_set = self.of_delay
-        error = self.commands[of_set, k] - q
-        if values.has("dead_band"):
-            error = error - np.clip(error, -values.dead_band, values.dead_band)
-        u = values.proportional * error + values.offset
-        if self.command_speeds is not None:
-            u = u + values.velocity_feedforward * self.command_speeds[of_set, k]
-        if values.has("gravity_compensation"):
-            u = u + values.gravity_compensation * self.course.gravity[k]
-        return u, error
-
-    def _hold(self, u: Array, v: Array) -> None:
+    def _hold(self, piece: "_Piece", u: Array, v: Array) -> None:
         """Let friction hold what stands at the first step."""
+        if not self.course.stands.any():
+            return
         wanted = u - self.values.derivative * v - self.course.rest[0]
-        low, high = self._friction(0, v)
+        low, high = piece.friction(0, v)
         beyond = np.maximum(wanted - high, low - wanted)
         held = np.where(self.course.stands, np.maximum(beyond, 0.0), 0.0)
         self.holding = held * (1.0 + HOLDS)
         v[:, self.course.stands] = 0.0
 
-    def _first_integral(self, u: Array, v: Array) -> Array:
-        """Return the integral that has what the torque has beside the law's rest."""
-        values = self.values
-        rest = self.course.torque - u + values.derivative * v
-        is_there = values.integral != 0.0
-        divisor = np.where(is_there, values.integral, 1.0)
-        return np.where(is_there, rest / divisor, 0.0)
-
-    def _next_speed(self, k: int, q: Array, v: Array, u: Array) -> Array:
+    def _next_speed(
+        self, piece: "_Piece", k: int, q: Array, v: Array, u: Array
+    ) -> Array:
         """Return speeds (S, B) in the middle of the step."""
-        course = self.course
+        i = k - piece.steps.start
         damping = self.values.derivative
         limit = self.loop.torque_limit
         if np.isfinite(limit):
@@ -177,37 +164,157 @@ class _Run:
             is_free = np.abs(damped) <= limit
             u = np.where(is_free, u, np.sign(damped) * limit)
             damping = np.where(is_free, damping, 0.0)
+        damping = damping + self.values.viscous
 
         # The first step brings the speed from its row to the middle of the step.
-        h = course.step_s if k else 0.5 * course.step_s
-        m = course.inertia[k] + self.values.armature
+        h = self.course.step_s if k else 0.5 * self.course.step_s
+        m = piece.inertia[i]
         halved = 0.5 * h * damping
-        asked = course.rest[k] + course.slope[k] * (q - course.along[k])
-        momentum = (m - halved) * v + h * (u - asked)
-        low, high = self._friction(k, v)
-        low = low - self.holding
-        high = high + self.holding
-        v_next = (momentum - np.clip(momentum, h * low, h * high)) / (m + halved)
+        momentum = (m - halved) * v + h * (u - piece.rest(i, q))
+        low, high = piece.friction(i, v)
+        if self.holding is not None:
+            low = low - self.holding
+            high = high + self.holding
+        opposed = np.minimum(np.maximum(momentum, h * low), h * high)
+        v_next = (momentum - opposed) / (m + halved)
         fastest = min(self.loop.velocity_limit, FASTEST)
-        v_next = np.asarray(np.clip(v_next, -fastest, fastest))
-        self.holding = np.where(v_next == 0.0, self.holding, 0.0)
+        v_next = np.fmin(np.fmax(v_next, -fastest), fastest)
+        if self.holding is not None:
+            self.holding = np.where(v_next == 0.0, self.holding, 0.0)
+            if not self.holding.any():
+                self.holding = None
         return v_next
 
-    def _friction(self, k: int, v: Array) -> tuple[Array, Array]:
+
+class _Integral:
+    """The integral of a controller, and its torque."""
+
+    def __init__(self, run: _Run) -> None:
+        self.run = run
+        self.summed: Array | None = None  # (S, B) rad s
+        _, of_set = run.of_delay
+        self.commands = run.commands[of_set]
+
+    def added(self, k: int, u: Array, q: Array, v: Array) -> Array:
+        """Return a torque (S, B) with that of the integral, and sum up the error."""
+        values = self.run.values
+        if self.summed is None:
+            self.summed = self._first(u, v)
+        u = u + values.integral * self.summed
+        error = self.commands[:, k] - q
+        if values.has("dead_band"):
+            error = error - np.clip(error, -values.dead_band, values.dead_band)
+        self.summed = self.summed + error * self.run.course.step_s
+        return u
+
+    def _first(self, u: Array, v: Array) -> Array:
+        """Return the integral that has what the torque has beside the law's rest."""
+        values = self.run.values
+        rest = self.run.course.torque - u + values.derivative * v
+        is_there = values.integral != 0.0
+        divisor = np.where(is_there, values.integral, 1.0)
+        return np.where(is_there, rest / divisor, 0.0)
+
+
+def _pieces(steps: int) -> list[range]:
+    """Cut steps into pieces of which everything known before is computed at once."""
+    return [range(first, min(first + PIECE, steps)) for first in range(0, steps, PIECE)]
+
+
+@dataclass(kw_only=True)
+class _Piece:
+    """What is known before of some steps, T of them: only the state is added later."""
+
+    run: _Run
+    steps: range
+
+    @property
+    def values(self) -> LoopValues:
+        return self.run.values
+
+    def _of(self, name: str) -> Array:
+        """Return a quantity of the course at the steps (T, 1, B)."""
+        whole: Array = getattr(self.run.course, name)
+        return whole[self.steps.start : self.steps.stop, None]
+
+    @cached_property
+    def command(self) -> Array:
+        """(T, S, B) rad."""
+        return self._of_sets(self.run.commands)
+
+    def _of_sets(self, by_delay: Array) -> Array:
+        _, of_set = self.run.of_delay
+        chosen = by_delay[:, self.steps.start : self.steps.stop][of_set]
+        return np.swapaxes(chosen, 0, 1)
+
+    @cached_property
+    def asked(self) -> Array:
+        """The law where the position is zero (T, S, B) N m."""
+        values = self.values
+        u = values.proportional * self.command + values.offset
+        speeds = self.run.command_speeds
+        if speeds is not None:
+            u = u + values.velocity_feedforward * self._of_sets(speeds)
+        if values.has("gravity_compensation"):
+            u = u + values.gravity_compensation * self._of("gravity")
+        return np.asarray(u)
+
+    def law(self, i: int, q: Array) -> Array:
+        """Return what a controller asks for without damping and integral (S, B)."""
+        values = self.values
+        u = self.asked[i] - values.proportional * q
+        if self._has_dead_band:
+            error = self.command[i] - q
+            inside = np.clip(error, -values.dead_band, values.dead_band)
+            u = u - values.proportional * inside
+        return u
+
+    @cached_property
+    def _has_dead_band(self) -> bool:
+        return self.values.has("dead_band")
+
+    @cached_property
+    def inertia(self) -> Array:
+        """(T, S, B) or (T, 1, B) kg m^2."""
+        if self.values.has("armature"):
+            return np.asarray(self._of("inertia") + self.values.armature)
+        return self._of("inertia")
+
+    @cached_property
+    def _rest(self) -> Array:
+        """What the rest of the arm asks where the position is zero (T, 1, B) N m."""
+        return self._of("rest") - self._of("slope") * self._of("along")
+
+    def rest(self, i: int, q: Array) -> Array:
+        """Return what the rest of the arm asks (S, B) N m."""
+        return np.asarray(self._rest[i] + self.run.course.slope[self.steps[i]] * q)
+
+    @cached_property
+    def _size(self) -> Array:
+        """Friction of either direction beside the model's (T, S, B) N m."""
+        size = self.values.coulomb
+        if self.values.has("load_friction"):
+            return size + self.values.load_friction * np.abs(self._of("load"))
+        return np.broadcast_to(size, (len(self.steps), *size.shape))
+
+    @cached_property
+    def _has_stribeck(self) -> bool:
+        return self.values.has("stribeck")
+
+    @cached_property
+    def _of_model(self) -> FrictionAlong | None:
+        table = self.run.loop.friction
+        return None if table is None else table.along(self._of("along")[:, 0])
+
+    def friction(self, i: int, v: Array) -> tuple[Array, Array]:
         """Return the least and the largest friction (S, B) N m."""
         values = self.values
-        size = values.coulomb
-        if values.has("stribeck"):
+        size = self._size[i]
+        if self._has_stribeck:
             size = size + values.stribeck * np.exp(
                 -np.square(v / values.stribeck_speed)
             )
-        if values.has("load_friction"):
-            size = size + values.load_friction * np.abs(self.course.load[k])
-        low = -size
-        high = size
-        if self.loop.friction is not None:
-            at = np.broadcast_to(self.course.along[k], self.shape)
-            below, above = self.loop.friction.limits(at.ravel(), v.ravel())
-            low = low + values.friction_factor * below.reshape(self.shape)
-            high = high + values.friction_factor * above.reshape(self.shape)
-        return low, high
+        if self._of_model is None:
+            return -size, size
+        low, high = self._of_model.limits(i, v)
+        return values.friction_factor * low - size, values.friction_factor * high + size

@@ -11,11 +11,11 @@ touch, a cable) counts less. Several lengths of a step are simulated at once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.drive.rollouts.loop import JointLoop
+from seqid_cli.drive.rollouts.loop import JointLoop, LoopValues
 from seqid_cli.drive.rollouts.unknowns import Unknowns
 from seqid_cli.typing import Array
 
@@ -27,6 +27,7 @@ ALIKE_S = 0.1
 # Of the median of windows, from which on a window counts less.
 USUAL = 3.0
 ROWS_PER_S = 50.0  # others repeat them
+START_STEP = 1e-3  # rad, rad/s: of slopes over where windows begin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +38,12 @@ class Solved:
     ----------
     theta : (p,) array
         What is searched.
-    errors : (W, R) list of arrays
-        rad, simulated less measured, by window.
-    jacobian : (W, R, p) list of arrays
+    errors : (R, B) list of arrays
+        rad, simulated less measured, of each rate; freed of where windows begin.
+    jacobian : (p, R, B) list of arrays
+        The same.
+    starts : (2, R, B) list of arrays
+        Slopes over position and speed where windows begin.
     weights : (W,) array
     scale : (rates,) array
         rad^2, rho sigma^2.
@@ -52,6 +56,7 @@ class Solved:
     theta: Array
     errors: list[Array]
     jacobian: list[Array]
+    starts: list[Array]
     weights: Array
     scale: Array
     cost: float
@@ -74,7 +79,44 @@ def errors_of(
     loops: Sequence[JointLoop], unknowns: Unknowns, theta: Array
 ) -> list[Array]:
     """Return simulated less measured positions (S, R, B) of each rate [rad]."""
-    values = unknowns.values(theta)
+    return _errors_at(loops, unknowns.values(theta))
+
+
+def start_slopes(
+    loops: Sequence[JointLoop], unknowns: Unknowns, theta: Array
+) -> list[Array]:
+    """Return slopes (2, R, B) of each rate over where windows begin.
+
+    The first is that over the position, the second that over the speed [s].
+    """
+    values = unknowns.values(np.tile(theta, (3, 1)))
+    moved = replace(
+        values,
+        start_offset=np.array([[0.0], [START_STEP], [0.0]]),
+        start_speed=np.array([[0.0], [0.0], [START_STEP]]),
+    )
+    return [(each[1:] - each[:1]) / START_STEP for each in _errors_at(loops, moved)]
+
+
+def freed(errors: Sequence[Array], starts: Sequence[Array]) -> list[Array]:
+    """Return errors (..., R, B) of each rate without what a window's begin makes.
+
+    A log says where a window begins to within the noise of its speed only. So each
+    window has two numbers of its own, which are solved for at once.
+    """
+    results = []
+    for off, slopes in zip(errors, starts, strict=True):
+        size = np.sqrt(np.sum(slopes**2, axis=1, keepdims=True)) + 1e-300
+        unit = slopes / size
+        square = np.einsum("irb,jrb->bij", unit, unit)
+        inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True)
+        product = np.einsum("irb,...rb->...ib", unit, off)
+        own = np.einsum("bij,...jb->...ib", inverse, product)
+        results.append(off - np.einsum("irb,...ib->...rb", unit, own))
+    return results
+
+
+def _errors_at(loops: Sequence[JointLoop], values: LoopValues) -> list[Array]:
     results = []
     for loop in loops:
         course = loop.course
@@ -96,8 +138,10 @@ def solved(
     information = unknowns.std**-2.0
     steps = unknowns.steps
     p = len(theta)
-    current = errors_of(loops, unknowns, theta[None])
+    whole = errors_of(loops, unknowns, theta[None])
     for _ in range(rounds):
+        starts = start_slopes(loops, unknowns, theta)
+        current = freed(whole, starts)
         squares = mean_squares(current)[0]
         weights = window_weights(squares)
         scale = _scale(loops, current, weights)
@@ -107,6 +151,7 @@ def solved(
         jacobians = [
             (each[:p] - each[p:]) / (2.0 * steps)[:, None, None] for each in sides
         ]
+        jacobians = freed(jacobians, starts)
         H, g = _normal(jacobians, current, weights, scale)
         g = g + information * (theta - mean)
         H = H + np.diag(information)
@@ -115,13 +160,15 @@ def solved(
             [theta - np.linalg.solve(H + d * diagonal, g) for d in DAMPINGS]
         )
         tried = errors_of(loops, unknowns, candidates)
-        costs = _costs(tried, candidates, weights, scale, mean, information)
+        off = freed(tried, starts)
+        costs = _costs(off, candidates, weights, scale, mean, information)
         before = _costs(current, theta[None], weights, scale, mean, information)[0]
         best = int(np.argmin(costs))
         if not costs[best] < before:
             break
         theta = candidates[best]
-        current = [each[best : best + 1] for each in tried]
+        whole = [each[best : best + 1] for each in tried]
+        current = freed(whole, starts)
         if before - costs[best] < ENOUGH * before:
             break
     squares = mean_squares(current)[0]
@@ -132,6 +179,7 @@ def solved(
         theta=theta,
         errors=[each[0] for each in current],
         jacobian=jacobians,
+        starts=starts,
         weights=weights,
         scale=scale,
         cost=float(cost),

@@ -15,8 +15,10 @@ from seqid_cli.drive.rollouts.solver import (
     USUAL,
     Solved,
     errors_of,
+    freed,
     mean_squares,
     solved,
+    start_slopes,
 )
 from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
 from seqid_cli.typing import Array
@@ -28,6 +30,8 @@ HELD_OUT = 4  # every so many windows one
 # Delays that are tried for the guess [s].
 LONGEST_GUESS_S = 0.3
 GUESS_STEP_S = 0.01
+# The logarithm of what is as good as nothing.
+NOTHING = -30.0
 # Of the mean square of held-out windows, by which a term lessens it.
 LEAST_GAIN = 0.02
 # Times its standard error over the windows.
@@ -74,8 +78,15 @@ class Parts:
 
     def judged(self, unknowns: Unknowns, theta: Array) -> Array:
         """Return mean squares (W,) [rad^2] of the held-out windows."""
-        errors = errors_of(self.held_out, unknowns, theta[None])
-        return np.asarray(mean_squares(errors)[0])
+        return np.asarray(mean_squares(self._off(unknowns, theta))[0])
+
+    def judged_freely(self, unknowns: Unknowns, theta: Array) -> Array:
+        """Return the same where held-out windows may begin elsewhere than the log."""
+        starts = start_slopes(self.held_out, unknowns, theta)
+        return np.asarray(mean_squares(freed(self._off(unknowns, theta), starts))[0])
+
+    def _off(self, unknowns: Unknowns, theta: Array) -> list[Array]:
+        return errors_of(self.held_out, unknowns, theta[None])
 
 
 def _some(loop: JointLoop, numbers: Array) -> JointLoop:
@@ -115,6 +126,52 @@ def gains(before: Array, after: Array) -> bool:
     return mean > GAIN_SIGMA * scatter and mean > LEAST_GAIN * float(was.mean())
 
 
+def promised_gains(
+    loops: Sequence[JointLoop],
+    unknowns: Unknowns,
+    base: Solved,
+    terms: Mapping[str, Sequence[Unknown]],
+) -> Mapping[str, float]:
+    """Return the share of the mean square that each term takes away to first order.
+
+    What a term at its start does to positions, freed of what the other numbers can do
+    as well, is compared with what is left over. All terms are simulated at once.
+    """
+    first = {name: more[0] for name, more in terms.items()}
+    wider = unknowns.with_more(list(first.values()))
+    fixed = {each.name: each.start for more in terms.values() for each in more[1:]}
+    wider = replace(wider, fixed={**wider.fixed, **fixed})
+    off = len(base.theta)
+    sets = np.tile(np.append(base.theta, [NOTHING] * len(first)), (len(first) + 1, 1))
+    for k, each in enumerate(first.values()):
+        sets[k, off + k] = each.mean
+    simulated = freed(errors_of(loops, wider, sets), base.starts)
+    root = np.sqrt(base.weights)
+    left = _flat(base.errors, root)
+    columns = np.stack(
+        [_flat([each[p] for each in base.jacobian], root) for p in range(off)], axis=1
+    )
+    gains_of = {}
+    for k, name in enumerate(first):
+        change = _flat([each[k] - each[-1] for each in simulated], root)
+        before = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
+        own = change - columns @ np.linalg.lstsq(columns, change, rcond=1e-10)[0]
+        taken = float(own @ before) ** 2 / max(float(own @ own), 1e-300)
+        gains_of[name] = taken / max(float(left @ left), 1e-300)
+    return gains_of
+
+
+def _flat(errors: Sequence[Array], root: Array) -> Array:
+    """Return errors (R, W) of each rate as one column, windows by their weights."""
+    first = 0
+    parts = []
+    for each in errors:
+        count = each.shape[-1]
+        parts.append((each * root[first : first + count]).ravel())
+        first += count
+    return np.concatenate(parts)
+
+
 def with_terms(
     parts: Parts, unknowns: Unknowns, base: Solved, coulomb: float
 ) -> tuple[Unknowns, Solved, list[str]]:
@@ -129,14 +186,17 @@ def with_terms(
     """
     left = dict(optional_terms(coulomb))
     kept: list[str] = []
-    judged = parts.judged(unknowns, base.theta)
+    judged = parts.judged_freely(unknowns, base.theta)
     while left:
         tried = {}
+        promised = promised_gains(parts.fitted, unknowns, base, left)
         for name, more in left.items():
+            if promised[name] < LEAST_GAIN:
+                continue
             wider = unknowns.with_more(more)
             start = np.append(base.theta, [each.mean for each in more])
             solution = solved(parts.fitted, wider, start)
-            after = parts.judged(wider, solution.theta)
+            after = parts.judged_freely(wider, solution.theta)
             if gains(judged, after):
                 tried[name] = (wider, solution, after)
         if not tried:

@@ -43,8 +43,8 @@ class JointDrive(Struct, kw_only=True):
     Simulated in `windows` of the logs, positions of those that were held out were off
     by `window_rms` [rad]; the first position and the change of the delayed command by
     `window_guess`. Windows tell as well what the model of the arm lacks: `armature`,
-    `coulomb` (or `friction_factor` of the model's friction), `stribeck` and
-    `stribeck_speed`, `load_friction`, and the `dead_band` of the controller.
+    `coulomb` and `viscous` friction (or `friction_factor` of the model's), `stribeck`
+    and `stribeck_speed`, `load_friction`, and the `dead_band` of the controller.
     """
 
     parameters: list[DriveParameter]

@@ -165,6 +165,7 @@ def test_a_joint_that_friction_holds_stays_where_it_is() -> None:
         dead_band=nothing,
         armature=nothing,
         coulomb=nothing,
+        viscous=nothing,
         friction_factor=np.ones(2),
         stribeck=nothing,
         stribeck_speed=np.ones(2),

@@ -7,11 +7,18 @@ import numpy as np
 import pytest
 
 from seqid_cli import drive as drives
+from seqid_cli.drive.friction_table import POSITIONS, SPEEDS, FrictionTable
 from seqid_cli.drive.nominal import nominal_stages
 from seqid_cli.drive.rollouts.course import arm_motion, courses_of
 from seqid_cli.drive.rollouts.joints import shared
 from seqid_cli.drive.rollouts.loop import JointLoop
-from seqid_cli.drive.rollouts.solver import errors_of, mean_squares, solved
+from seqid_cli.drive.rollouts.solver import (
+    errors_of,
+    freed,
+    mean_squares,
+    solved,
+    start_slopes,
+)
 from seqid_cli.drive.rollouts.terms import gains
 from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
 from seqid_cli.drive.settings import DriveSettings, WindowSettings
@@ -100,6 +107,29 @@ def test_friction_holds_a_joint_that_stands_whatever_the_law_says() -> None:
     moving = replace(at_rest, stands=np.zeros(1, np.bool_))
     slides = replace(loop, course=moving).run(pushed.values(np.zeros((1, 0))))
     assert slides[0, -1, 0] > slides[0, 0, 0] + 0.1
+
+
+def test_friction_along_known_positions_is_that_of_the_table() -> None:
+    rng = np.random.default_rng(5)
+    positions = np.linspace(-1.0, 1.0, POSITIONS)
+    speeds = np.linspace(0.0, 2.0, SPEEDS)
+    forward = 0.3 + 0.1 * np.add.outer(positions**2, speeds)
+    table = FrictionTable(positions, speeds, forward, -0.8 * forward)
+    q = rng.uniform(-1.0, 1.0, (3, 7))
+    v = rng.uniform(-3.0, 3.0, (2, 7))
+    for time in range(len(q)):
+        found = table.along(q).limits(time, v)
+        for side, limits in zip(found, table.limits(q[time], v), strict=True):
+            np.testing.assert_allclose(side, limits, atol=1e-12)
+
+
+def test_where_windows_begin_is_no_error_of_the_numbers() -> None:
+    known = Unknowns(searched=[], fixed=true_numbers())
+    none = np.zeros(0)
+    starts = start_slopes(nominal_loops(), known, none)
+    begun_elsewhere = [np.einsum("irb,i->rb", each, [1e-3, -2e-2]) for each in starts]
+    for each in freed(begun_elsewhere, starts):
+        np.testing.assert_allclose(each, 0.0, atol=1e-9)
 
 
 def test_a_dead_band_is_no_command() -> None:

@@ -73,7 +73,7 @@ def _of_bends(J: Array, left: Array, equations: Equations) -> Array:
     scores = np.zeros((int(equations.at[-1]) // length + 1, J.shape[1]))
     np.add.at(scores, equations.at // length, J * left[:, None])
     n = max(J.shape[1] + 1, np.count_nonzero(scores.any(axis=1)))
-    return np.asarray(scores.T @ scores) * n / (n - J.shape[1])
+    return np.asarray(scores.T @ scores * (n / (n - J.shape[1])))
 
 
 def _of_scores(J: Array, left: Array, equations: Equations) -> Array:
@@ -109,4 +109,4 @@ def _of_scores(J: Array, left: Array, equations: Equations) -> Array:
     if size % 2 == 0:
         twice[-1] = 1.0
     weighted = spectrum.conj() * (twice * density / size)[:, None]
-    return np.asarray((weighted.T @ spectrum).real) / (1.0 - share)
+    return np.asarray((weighted.T @ spectrum).real / (1.0 - share))

@@ -223,7 +223,7 @@ def _refined_held(law: JointLaw, names: Sequence[str], start: Delays) -> Solutio
         if spread_s > step_s or step_s < FINEST_S:
             break
         step_s = 0.25 * step_s
-        around = np.arange(-HELD_FINER, HELD_FINER + 1) * step_s
+        around = step_s * np.arange(-HELD_FINER, HELD_FINER + 1, dtype=np.float64)
     delays = Delays(command=float(mean[-2]), torque=float(mean[-1]))
     best = solved_at(law, names, delays) or likeliest
     # A step of the grid is as good as any place in it.

@@ -81,7 +81,8 @@ def _of_scatter(H: Array, unknowns: Unknowns, solution: Solved) -> Array:
     n = len(by_window)
     by_prior = np.einsum("pk,k->p", _inverse(H) ** 2, unknowns.std**-2.0)
     wider = float(student.ppf(0.975, n - 1) / 1.96)
-    return wider * np.sqrt(np.sum(by_window**2, axis=0) * (n - 1) / n + by_prior)
+    of_windows = np.sum(by_window**2, axis=0) * (n - 1) / n
+    return np.asarray(wider * np.sqrt(of_windows + by_prior))
 
 
 def of_the_prior(unknowns: Unknowns, solution: Solved) -> Mask:

@@ -183,7 +183,7 @@ class _Run:
             self.holding = np.where(v_next == 0.0, self.holding, 0.0)
             if not self.holding.any():
                 self.holding = None
-        return v_next
+        return np.asarray(v_next)
 
 
 class _Integral:
@@ -267,7 +267,7 @@ class _Piece:
             error = self.command[i] - q
             inside = np.clip(error, -values.dead_band, values.dead_band)
             u = u - values.proportional * inside
-        return u
+        return np.asarray(u)
 
     @cached_property
     def _has_dead_band(self) -> bool:

@@ -123,7 +123,7 @@ def test_a_logged_torque_can_be_left_aside() -> None:
     assert identified(recorded(), no_torque=True).method == "motion"
 
 
-def test_held_commands_give_the_delay_to_a_row() -> None:
+def test_held_commands_give_the_delay_within_a_row() -> None:
     plain = arm().with_drive(velocity_feedforward=np.zeros(1))
     log = simulate_drive(
         plain, multisine(4, 1, SECONDS), SECONDS, seed=4, command_hz=50.0
@@ -135,7 +135,8 @@ def test_held_commands_give_the_delay_to_a_row() -> None:
     assert delay.low is not None
     assert delay.high is not None
     assert delay.low < 0.0173 < delay.high
-    assert 1e-3 < delay.high - delay.low < 0.02
+    # Rows are 5 ms apart: what moves after a step tells when it came.
+    assert delay.high - delay.low < 2e-3
     assert_holds(file, plain)
 
 

@@ -46,7 +46,7 @@ MODULES = (
     ),
     Module(
         "seqid_cli/identify/regression/slow_noise.py",
-        ("tests/unit/identify/rigid/test_gravity.py",),
+        ("tests/unit/identify/regression/test_slow_noise.py",),
     ),
     Module(
         "seqid_cli/identify/regression/repeats.py",

@@ -1,7 +1,7 @@
 """Settings that are refused, that are shown, and that decide in judging."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -34,7 +34,7 @@ from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings import entries, overridden
+from seqid_cli.settings import Group, entries, overridden, setting
 from tests import ROOT
 
 ONE_JOINT = ROOT / "sample_logs" / "one_joint"
@@ -90,10 +90,27 @@ def test_what_is_no_setting_is_refused_with_what_to_do(text: str, said: str) -> 
     assert caught.value.exit_code == 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class Counted(Group):
+    """Settings of a whole number and of another."""
+
+    least_count: int = setting(2, unit="logs", reason="a few", low=1, high=9)
+    largest_share: float = setting(0.5, unit="of all", reason="some", low=0.0, high=1.0)
+
+
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "3", None, True])
 def test_no_bad_number_gets_into_a_group(value: Any) -> None:
     with pytest.raises(UsageError, match="max_gravity_factor"):
         JudgingSettings(max_gravity_factor=value)
+
+
+def test_a_number_of_things_is_a_whole_one() -> None:
+    """A group says which of both it takes."""
+    with pytest.raises(UsageError, match=r"least_count is no whole number: 2\.5"):
+        Counted(least_count=2.5)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="largest_share is no number: 'a'"):
+        Counted(largest_share="a")  # type: ignore[arg-type]
+    assert Counted(least_count=3, largest_share=1).least_count == 3
 
 
 def test_the_result_says_what_was_changed_and_all_that_was_in_force() -> None:

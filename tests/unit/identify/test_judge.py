@@ -56,6 +56,23 @@ def test_a_stage_is_no_better_than_one_that_it_rests_on(one_joint: Rig) -> None:
     assert verdict.level == "usable"
     assert verdict.reason == "rests on the friction stage, which is poor"
     assert not list(verdicts_by_earlier("friction", stages))
+    sound = Stages(friction=one_joint.friction)
+    assert one_joint.friction.verdicts
+    assert not list(verdicts_by_earlier("inertia", sound))
+    assert not list(verdicts_by_earlier("inertia", Stages()))
+
+
+def test_a_whole_is_as_good_as_its_joints() -> None:
+    good = Verdict(joint="a", good=True)
+    bad = Verdict(joint="b", good=False, level="usable", reason="x")
+    assert as_a_whole([]) == []
+    assert as_a_whole([good]) == [good]
+    *joints, whole = as_a_whole([good, bad])
+    assert joints == [good, bad]
+    assert (whole.joint, whole.level, whole.reason) == ("", "usable", "not good: b")
+    # What is said of the whole already is not said again.
+    said = [good, Verdict(good=False, level="usable", reason="rests on another")]
+    assert as_a_whole(said) == said
 
 
 @pytest.mark.parametrize(

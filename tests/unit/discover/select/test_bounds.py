@@ -48,6 +48,16 @@ def test_within_its_error_a_coefficient_is_at_the_bound() -> None:
     assert moved([0.1, -0.015], 0.01) == [0.1, 0.0]
 
 
+def test_beyond_the_upper_bound_it_is_at_that_bound() -> None:
+    high = GEAR.effect.coefficients(GEAR.settings)[0].high
+    assert np.isfinite(high)
+    assert moved([high + 0.015, 0.02], 0.01) == [high, 0.02]
+
+
+def test_without_any_variance_it_is_at_the_bound_by_the_law_alone() -> None:
+    assert moved([0.1, -0.006], 0.0, share=0.04) == [0.1, 0.0]
+
+
 def test_beyond_its_error_it_stays_where_it_is() -> None:
     assert moved([0.1, -0.03], 0.01) == [0.1, -0.03]
 

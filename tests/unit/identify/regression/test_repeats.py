@@ -25,14 +25,16 @@ def motion(seed: int) -> Array:
     return np.column_stack(waves)
 
 
-def log(H: Array, *, missing: float, noise: float, seed: int) -> list[Accumulator]:
+def log(
+    H: Array, *, missing: float, noise: float, seed: int, blurred: float = 0.002
+) -> list[Accumulator]:
     """Rows of two joints: `missing` comes with the motion, `noise` is new each time."""
     rng = np.random.default_rng(seed)
     lacked = missing * np.tanh(3.0 * H[:, 0] * H[:, 1])
     joints = []
     for scale in (1.0, 2.0):
         # A drive and its encoder are never twice the same to the last digit.
-        moved = H * scale + rng.normal(0.0, 0.002, H.shape)
+        moved = H * scale + rng.normal(0.0, blurred, H.shape)
         y = moved @ THETA + lacked + rng.normal(0.0, noise, len(H))
         joint = Accumulator(SIZE)
         for rows in np.split(np.arange(len(H)), BLOCKS):
@@ -93,3 +95,25 @@ def test_logs_that_are_cut_otherwise_are_new() -> None:
     logs = [log(x, missing=0.0, noise=0.1, seed=k) for k, x in enumerate((H, later))]
     joints = with_log(*logs)
     assert len(joints[0].blocks) == 2 * BLOCKS
+
+
+def test_columns_count_alike_whatever_their_units() -> None:
+    """A small column that is another makes another motion, as a large one does."""
+    H = motion(0) * (1.0, 1.0, 1.0, 1e-3)
+    other = H.copy()
+    other[:, 3] = motion(1)[:, 3] * 1e-3
+    quiet = {"missing": 0.0, "noise": 0.1}
+    first, same, differs = (
+        log(x, seed=seed, blurred=0.0, **quiet) for seed, x in enumerate((H, H, other))
+    )
+    assert len(with_log(first, same)[0].blocks) == BLOCKS
+    assert len(with_log(first, differs)[0].blocks) == 2 * BLOCKS
+
+
+def test_blocks_of_other_lengths_are_not_compared() -> None:
+    logs = [log(motion(0), missing=0.0, noise=0.1, seed=k) for k in range(2)]
+    for joint in logs[0]:
+        joint._halve()
+    joints = with_log(*logs)
+    assert [len(joint.blocks) for joint in joints] == [BLOCKS, BLOCKS]
+    assert joints[0].samples == 2 * BLOCKS * ROWS

@@ -234,6 +234,8 @@ COMMANDS = {
         "t.parquet",
     ),
     "report": ("report", MODEL[1], "-o", "a.html"),
+    "inspect": ("inspect", str(ONE_JOINT / "gravity"), *ROBOT, "-o", "a.json"),
+    "plan": ("plan", "friction", *ROBOT, *MODEL, "-o", "a.json"),
 }
 
 
@@ -367,6 +369,8 @@ def run_in(
         pytest.param("predict, MCAP", 2, marks=pytest.mark.slow),
         pytest.param("predict", 2, marks=pytest.mark.slow),
         pytest.param("report", 1, marks=pytest.mark.slow),
+        pytest.param("inspect", 1, marks=pytest.mark.slow),
+        pytest.param("plan", 1, marks=pytest.mark.slow),
     ],
 )
 def test_old_files_stay_whole(

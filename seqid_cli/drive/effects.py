@@ -53,10 +53,8 @@ OF_TABLE = frozenset({"q", "dq", "theta", "sign_width", "rotor", "coulomb_share"
 KNOWN = OF_TABLE | {"load", "load_is_modelled", "temperature"}
 USUAL_SIGN_WIDTH = 0.01  # rad/s, where no friction was identified
 PLACES = 65  # over which the mean of Coulomb friction is taken
-# The same friction as an effect of the file, where windows of a drive have told it.
-TOLD_BY_WINDOWS = {
-    "load_dependent_friction": "load_friction",
-}
+# The effect of a file that is the same friction as the term `load_friction` of a drive.
+FRICTION_OF_LOAD = "load_dependent_friction"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,10 +227,22 @@ class ArmEffects:
 
         return added
 
-    @property
-    def of_steps(self) -> tuple[EffectTorque, ...]:
-        """Those that are evaluated at every step."""
-        return tuple(each for each in self.torques if not each.stands_in_table)
+    def of_steps(self, load_friction: Array) -> tuple[EffectTorque, ...]:
+        """Return those that are evaluated at every step.
+
+        Parameters
+        ----------
+        load_friction : (n,) array
+            N m per N m, what the windows of a drive have told of each joint's friction
+            by its load. Where it is not zero it stands for the file's effect, which
+            would count twice.
+        """
+        return tuple(
+            each
+            for each in self.torques
+            if not each.stands_in_table
+            and not (each.name == FRICTION_OF_LOAD and load_friction[each.joint] > 0.0)
+        )
 
     def restored(self, log: Recording) -> Recording:
         """Return a log with its torque as it was before effects distorted it."""

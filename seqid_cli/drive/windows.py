@@ -139,7 +139,7 @@ def closed_loop(
         model=model,
         gains=replace(gains, armature=gains.armature + effects.armature),
         friction=tables,
-        effects=effects.of_steps,
+        effects=effects.of_steps(gains.load_friction),
     )
 
 

@@ -223,3 +223,11 @@ def test_the_model_of_a_fit_without_a_torque_has_the_effect(name: str) -> None:
         rows = motion.usable[:, 0] & (np.abs(motion.dq[:, 0]) > 0.1)
         left[key] = np.std((motion.torque - measured.torque)[rows, 0])
     assert left["with"] < 0.7 * left["without"]
+
+
+def test_friction_by_the_load_that_windows_have_told_counts_once() -> None:
+    entry, _ = EFFECTS["load_dependent_friction"]
+    stages = structs.replace(soft_arm().stages(), effects=[entry])
+    effects = arm_effects(stages, soft_arm().robot)
+    assert [each.name for each in effects.of_steps(np.zeros(1))] == [entry.effect]
+    assert not effects.of_steps(np.array([0.1]))

@@ -123,6 +123,8 @@ def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
     entries = rows * columns * (2 if joint.directional else 1)
     if not _has_shape(joint.covariance, entries, entries):
         yield f"{key}.covariance", f"must be square with {entries} rows"
+    elif not _may_be_covariance(joint.covariance):
+        yield f"{key}.covariance", "must have its largest number on the diagonal"
     if not 0.0 <= joint.torque_constant_error < 1.0:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
     if joint.law_error < 0.0:
@@ -212,6 +214,13 @@ def _square(key: str, covariance: schema.Matrix, size: int) -> Iterator[_Problem
     """Yield that a covariance which is there has another size."""
     if covariance and not _has_shape(covariance, size, size):
         yield f"{key}.covariance", f"must be square with {size} rows"
+
+
+def _may_be_covariance(matrix: schema.Matrix, *, rounding: float = 1e-3) -> bool:
+    """Return whether no covariance is larger than the largest variance."""
+    largest = max(max(map(abs, row)) for row in matrix)
+    variance = max(row[k] for k, row in enumerate(matrix))
+    return largest <= (1.0 + rounding) * variance
 
 
 def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:

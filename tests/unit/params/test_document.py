@@ -297,6 +297,11 @@ WRONG = [
     (f"{ELBOW}.sign_width", 0, "must be positive"),
     (f"{ELBOW}.speed_range", [2.0, 1.0], "must be two numbers"),
     (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 rows"),
+    (
+        f"{ELBOW}.covariance",
+        [[1.0, 9.0], [9.0, 2.0]],
+        "must have its largest number on the diagonal",
+    ),
     ("stages.gravity.covariance", [[1.0, 2.0]], "must be square with 1"),
     ("stages.gravity.parameters.0.std_error", -1, "must not be negative"),
     (

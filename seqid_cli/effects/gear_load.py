@@ -5,11 +5,12 @@ The gear passes to the link what turns the joint but for its own rotor,
     tau_L = tau_rigid - I_r ddq.
 
 At the joints near the base no motion tells the reflected rotor inertia I_r [kg m^2]
-from the link's. Where the robot file does not give it either, losses tell: they do not
-grow with the torque that the rotor takes. I_r is then searched, from none to all of the
-smallest inertia about the joint that the logs show. Hamon, Gautier, Garrec, "New dry
-friction model with load- and velocity-dependence and dynamic identification of
-multi-DOF robots", ICRA 2011.
+from the link's. At others only couplings of the joints do, and a file that was
+identified without the losses has made the rotor of them. Where the robot file does not
+give it, losses tell: they do not grow with the torque that the rotor takes. I_r is then
+searched, from none to all of the smallest inertia about the joint that the logs show.
+Hamon, Gautier, Garrec, "New dry friction model with load- and velocity-dependence and
+dynamic identification of multi-DOF robots", ICRA 2011.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ from seqid_cli.effects.effect import (
     knows_load,
     rotor_hidden,
 )
-from seqid_cli.effects.scene import Scenes
+from seqid_cli.effects.scene import Scene, Scenes
 from seqid_cli.effects.sensitivity import link_inertia
 from seqid_cli.typing import Array
 
@@ -50,9 +51,9 @@ class LoadLoss(FrictionEffect):
         yield from self.beyond(scenes, joint)
 
     def beyond(self, scenes: Scenes, joint: int) -> Grid:
-        """Yield rotor inertias if neither file nor motion nor a sensor tells them."""
+        """Yield rotor inertias if no file knows them well and no sensor is there."""
         measured = all(scene.sensor is not None for scene in scenes)
-        if measured or not rotor_hidden(scenes[0].robot, joint):
+        if measured or knows_rotor(scenes[0], joint):
             return
         largest = smallest_inertia(scenes, joint)
         if largest > 0.0:
@@ -70,7 +71,7 @@ class LoadLoss(FrictionEffect):
         """
         if ROTOR not in settings:
             return "load", {}
-        return f"(load - {ROTOR} * load_is_modelled * ddq)", settings
+        return f"(load + (rotor - {ROTOR}) * load_is_modelled * ddq)", settings
 
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
@@ -83,8 +84,23 @@ class LoadLoss(FrictionEffect):
 
 
 def smallest_inertia(scenes: Scenes, joint: int) -> float:
-    """Return the smallest modelled inertia about a joint, kg m^2, at least 0."""
+    """Return the smallest modelled inertia about a joint, kg m^2, at least 0.
+
+    It is that of the links and of the joint's own rotor.
+    """
     smallest = min(
-        float(link_inertia(scene, joint)[:, joint].min()) for scene in scenes
+        float(link_inertia(scene, joint)[:, joint].min() + scene.rotor[joint])
+        for scene in scenes
     )
     return max(smallest, 0.0)
+
+
+def knows_rotor(scene: Scene, joint: int) -> bool:
+    """Return whether the file knows a rotor better than the finest share that is tried.
+
+    The rotor turns `SHARES[0]` of the inertia about the joint, then.
+    """
+    if scene.model.rotor_std is None:
+        return not rotor_hidden(scene.robot, joint)
+    std_error = float(scene.gear[joint] ** 2 * scene.model.rotor_std[joint])
+    return std_error <= SHARES[0] * smallest_inertia([scene], joint)

@@ -4,7 +4,7 @@
 
 tau_L [N m] is the torque that the gear passes to the link, without the joint's own
 rotor; k_l [-] the share of it that is lost, both when the gear drives and when it is
-driven. Where neither robot file nor motion tells the rotor's inertia, the losses do:
+driven. Where no file knows the inertia of the rotor well, the losses tell it:
 `reflected_rotor_inertia`, at the joint. Hamon, Gautier, Garrec, "New dry friction model
 with load- and velocity-dependence and dynamic identification of multi-DOF robots", ICRA
 2011.

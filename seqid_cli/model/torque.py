@@ -91,6 +91,9 @@ class TorqueModel:
         How rotors act on the links that carry them.
     delays_s : Array, optional
         (n,) s, by which torques are logged late.
+    rotor_std : Array, optional
+        (n,) kg m^2, standard errors of `rotor`; infinite where neither a stage nor the
+        robot file tells a rotor from its link.
     """
 
     robot: Robot
@@ -99,6 +102,7 @@ class TorqueModel:
     rotor: Array | None
     coupling: Coupling
     delays_s: Array | None = None
+    rotor_std: Array | None = None
 
     @classmethod
     def from_stages(cls, stages: Stages, robot: Robot) -> Self:
@@ -118,6 +122,7 @@ class TorqueModel:
             rotor=rotor,
             coupling=coupling,
             delays_s=delays_s(stages, robot),
+            rotor_std=rotor_std_errors(rigid, robot),
         )
 
     def friction(self, q: Array, dq: Array) -> Array:
@@ -262,6 +267,23 @@ def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:
     )
     of_links = len(STANDARD) * n
     return values[:of_links].reshape(n, len(STANDARD)), values[of_links:]
+
+
+def rotor_std_errors(stage: RigidStage | None, robot: Robot) -> Array:
+    """Return standard errors (n,) kg m^2 of the rotors' inertias.
+
+    They are zero where the robot file gives an inertia, and infinite where nothing
+    tells it.
+    """
+    identified = {} if stage is None else {x.name: x for x in stage.parameters}
+    std_errors = np.full(robot.n, np.inf)
+    for number, joint in enumerate(robot.joints):
+        name = f"Ia_{number + 1}"
+        if joint.rotor_inertia is not None:
+            std_errors[number] = 0.0
+        elif name in identified:
+            std_errors[number] = identified[name].uncertainty
+    return std_errors
 
 
 def known_rotors(robot: Robot) -> Array:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.base import LIKELY, base_of
-from seqid_cli.discover.nuisances import nuisances_of
+from seqid_cli.discover.nuisances import THERMAL, nuisances_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.scene import Scene
-from seqid_cli.params.schema import FrictionStage, Stages
+from seqid_cli.identify.nuisances import PRIORS, with_term
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Nuisance, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from tests import Array
 from tests.plants.robots.made import friction_joint
@@ -115,3 +117,62 @@ def test_a_delay_changes_the_torque_as_it_is_logged(scenes: list[Scene]) -> None
     (column,) = of_joint.columns[joint]
     error = -0.001 * column[100:-100] - expected
     assert np.std(error) < 0.05 * np.std(expected)
+
+
+def warm_joint(std_error: float) -> FrictionJoint:
+    """Friction at 25 degC that grows by 1 % per kelvin, and whose trials were warm."""
+    return friction_joint(
+        [[COULOMB[0] + HALF, HALF]],
+        speed_range=[0.0, TOP],
+        sign_width=SIGN_WIDTH,
+        temperature=25.0,
+        covariance=[[0.04, 0.0], [0.0, 0.25]],
+        term_moves={"thermal": [-3.0, -1.0]},
+        nuisances=[
+            Nuisance(
+                name="thermal",
+                joint="joint_1",
+                value=0.01,
+                std_error=std_error,
+                unit="1/K",
+            )
+        ],
+    )
+
+
+def at(scene: Scene, celsius: float, joint: FrictionJoint) -> Scene:
+    """Return a scene at a temperature, with a file's friction at its first joint."""
+    motion = replace(scene.motion, celsius=np.full_like(scene.motion.q, celsius))
+    surfaces = [FrictionSurface.from_stage(joint), scene.model.surfaces[1]]
+    model = replace(scene.model, surfaces=surfaces)
+    return replace(scene, motion=motion, model=model)
+
+
+def test_what_warmth_makes_of_friction_is_known_as_well_as_the_file_says(
+    scenes: list[Scene],
+) -> None:
+    """Its column is the torque of a file with another estimate."""
+    (scene, *_) = scenes
+    joint = warm_joint(0.006)
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint}))
+    warm = at(scene, 31.0, joint)
+    *_, term = nuisances_of([warm], stages)
+    assert term.name == THERMAL
+    assert term.std == 0.006
+
+    other = at(scene, 31.0, with_term(joint, THERMAL, 0.015, 0.006))
+    expected = (other.modelled_filtered - warm.modelled_filtered)[:, 0]
+    slides = warm.slides[:, 0]
+    (column,) = term.columns[0]
+    error = (0.005 * column - expected)[slides]
+    assert np.std(expected[slides]) > 0.01
+    assert np.std(error) < 0.05 * np.std(expected[slides])
+
+
+def test_what_no_log_of_a_file_has_shown_of_warmth_is_left_to_effects(
+    scenes: list[Scene],
+) -> None:
+    joint = warm_joint(PRIORS.per_kelvin)
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint}))
+    terms = nuisances_of([at(scenes[0], 31.0, joint)], stages)
+    assert THERMAL not in {term.name for term in terms}

@@ -10,12 +10,16 @@ import pytest
 
 from seqid_cli.effects.backlash import Backlash
 from seqid_cli.effects.encoder_eccentricity import EncoderEccentricity
+from seqid_cli.effects.gear_efficiency import GearEfficiency
+from seqid_cli.effects.gear_load import LoadLoss, smallest_inertia
 from seqid_cli.effects.joint_elasticity import JointElasticity
+from seqid_cli.effects.load_dependent_friction import LoadDependentFriction
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.rotor_inertia import RotorInertia
 from seqid_cli.effects.scene import Scene
 from seqid_cli.effects.transmission_coupling import TransmissionCoupling
 from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.robot.base_parameters import STANDARD
 from tests import Array
 from tests.plants.robots.two_joint import GEAR, ROTOR, SIGN_WIDTH, two_joint_robot
 from tests.unit.effects.fitting import (
@@ -95,6 +99,54 @@ def test_values_are_stated_where_a_rotor_is_known_apart_from_its_link(
     for part in ("rotor_inertia", without_rotors.joint_names[0]):
         assert part in effect.lacking(without_rotors, 0)
     assert effect.reported(without_rotors, 1, settings, c, np.eye(1))
+
+
+def with_rotor_of_the_link(scene: Scene, joint: int, inertia: float) -> Scene:
+    """Let the model take an inertia (kg m^2) of a link for that of its rotor."""
+    of_sphere = np.zeros_like(scene.model.phi)
+    diagonal = [STANDARD.index(name) for name in ("Ixx", "Iyy", "Izz")]
+    of_sphere[joint, diagonal] = inertia
+    motor_side = inertia * np.eye(scene.robot.n)[joint] / scene.gear**2
+    model = replace(
+        scene.model,
+        phi=scene.model.phi - of_sphere,
+        rotor=scene.model.rotor + motor_side,
+    )
+    return replace(scene, model=model)
+
+
+@pytest.mark.parametrize("effect", [GearEfficiency(), LoadDependentFriction()])
+def test_losses_do_not_depend_on_what_a_file_takes_for_the_rotor(
+    effect: LoadLoss,
+) -> None:
+    """A file that was identified with the losses inside has made a rotor of them."""
+    joint = 1
+    right = scene_of(wander(8.0, still=[0], amplitude=0.6))
+    wrong = with_rotor_of_the_link(right, joint, 0.5)
+    settings = {"reflected_rotor_inertia": float(right.rotor[joint])}
+    expected = effect.columns(right, joint, {})[joint]
+    assert np.std(effect.columns(wrong, joint, {})[joint] - expected) > 0.1
+    np.testing.assert_allclose(
+        effect.columns(wrong, joint, settings)[joint], expected, atol=1e-9
+    )
+
+
+def test_rotors_are_searched_where_the_file_hardly_knows_them() -> None:
+    effect = GearEfficiency()
+    (plain,) = [scene_of(wander(4.0))]
+    joints = tuple(replace(x, rotor_inertia=None) for x in plain.robot.joints)
+    without_rotors = replace(plain, robot=replace(plain.robot, joints=joints))
+    inertia = smallest_inertia([without_rotors], 1)
+
+    def tried(share: float) -> list[float]:
+        std = np.array([np.inf, share * inertia / plain.gear[1] ** 2])
+        model = replace(plain.model, rotor_std=std)
+        scene = replace(without_rotors, model=model)
+        grid = effect.grid([scene], 1, [])
+        return [x.get("reflected_rotor_inertia", 0.0) / inertia for x in grid]
+
+    assert tried(0.001) == [0.0]
+    assert max(tried(0.3)) == pytest.approx(0.6)
 
 
 ERROR = 3e-5  # kg m^2, of a rotor

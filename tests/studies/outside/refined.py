@@ -1,10 +1,13 @@
-"""The loop closed outside: `python -m tests.studies.outside.refined --seeds A:B`."""
+"""The loop closed outside: `python -m tests.studies.outside.refined --seeds A:B
+[--group NAME]`.
+"""
 
 import argparse
 import sys
 import tempfile
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +21,14 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.params.io import read_parameters
 from seqid_cli.robot.file import load_robot
 from tests.studies.outside.cases import prepared
-from tests.studies.outside.plan import drawn
+from tests.studies.outside.groups import GROUPS
 from tests.studies.records import results, seeds_of
 from tests.studies.undeclared.cases import Truth
 from tests.studies.undeclared.refine import NEAR, told_model
 
 
-def refined_case(seed: int, folder: Path) -> dict[str, Any]:
-    case = drawn(seed)
+def refined_case(seed: int, folder: Path, group: str) -> dict[str, Any]:
+    case = GROUPS[group](seed)
     (effect,), (joints,) = case.effects, case.joints
     row = {
         "seed": seed,
@@ -73,11 +76,11 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     }
 
 
-def answered(seed: int) -> dict[str, Any]:
+def answered(seed: int, group: str = "mixed") -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", SeqidWarning)
         try:
-            return refined_case(seed, Path(name))
+            return refined_case(seed, Path(name), group)
         except Exception as error:
             return {"seed": seed, "kind": "", "added": [], "error": repr(error)}
 
@@ -86,10 +89,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.refined")
     parser.add_argument("--seeds", type=seeds_of, default="1000:1030", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
+    parser.add_argument("--group", choices=[*GROUPS], default="mixed")
     chosen = parser.parse_args()
-    cases = {str(seed): seed for seed in chosen.seeds if len(drawn(seed).effects) == 1}
+    draw = GROUPS[chosen.group]
+    cases = {str(seed): seed for seed in chosen.seeds if len(draw(seed).effects) == 1}
+    name = f"refined_{chosen.group}.jsonl"
     kept = results(
-        cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str
+        cases,
+        partial(answered, group=chosen.group),
+        dict[str, Any],
+        chosen.cache / name,
+        told=str,
     )
     right = [
         r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}

@@ -169,9 +169,10 @@ def joints_beside(logs: Sequence[Path | Recording], robot: Robot) -> list[str]:
         # Joints that are only counted are not known by a name.
         if set(joints) & {*robot.joint_names, *robot.log_names}:
             names |= dict.fromkeys(joints)
-    others = [
-        name for name in names if name not in {*robot.joint_names, *robot.log_names}
-    ]
+    # Of joints that the robot file names and that mimic another it is said already.
+    known = {*robot.joint_names, *robot.log_names}
+    known |= {joint.name for joint in robot.followers}
+    others = [name for name in names if name not in known]
     if not others:
         return []
     of_urdf = {} if robot.urdf is None else read_urdf_text(robot.urdf).joints

@@ -141,6 +141,7 @@ def prepare(
         chosen = posture.logs
         missing = (*missing, *posture.failed)
         remarks = posture.remarks
+    remarks = (*remarks, *_remarks_on_followers(arm))
     return Inputs(
         logs=chosen,
         robot=arm,
@@ -154,6 +155,15 @@ def prepare(
         on_progress=on_progress,
         robot_remarks=remarks,
     )
+
+
+def _remarks_on_followers(robot: Robot) -> list[str]:
+    """Say which joints of the robot file are left out, as they mimic another."""
+    return [
+        f"{joint.name} is left out: it follows {joint.follows} (mimic) and has no drive"
+        " of its own"
+        for joint in robot.followers
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

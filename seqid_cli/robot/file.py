@@ -7,11 +7,18 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec.structs import astuple
+from msgspec.structs import astuple, replace
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml import ReadRobotFile, read_robot_file
-from seqid_cli.robot.urdf import UrdfText, check_joints, left_out, parse_urdf
+from seqid_cli.robot.urdf import (
+    UrdfJoint,
+    UrdfText,
+    check_joints,
+    followers,
+    left_out,
+    parse_urdf,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -52,11 +59,14 @@ def load_robot(path: Path, positions: "Mapping[str, float] | None" = None) -> "R
     """
     file = read_robot_file(path)
     content = file.content
-    names = tuple(joint.name for joint in content.joint)
     urdf = None
+    following: list[UrdfJoint] = []
     if content.urdf is not None and file.urdf_raw is not None:
         urdf = parse_urdf(file.urdf_raw, path.parent / content.urdf)
+        following = followers(urdf, [joint.name for joint in content.joint])
+        content = _without(content, following, path)
         check_joints(urdf, content.joint, path)
+    names = tuple(joint.name for joint in content.joint)
 
     # The texts are in order: from here on numpy, and Pinocchio where there is a URDF.
     import numpy as np
@@ -94,7 +104,30 @@ def load_robot(path: Path, positions: "Mapping[str, float] | None" = None) -> "R
         geometry_error_m=content.geometry_error.position,
         geometry_error_rad=content.geometry_error.angle,
         locked=_locked(urdf, names) if urdf else (),
+        followers=tuple(following),
     )
+
+
+def _without(
+    content: "RobotFile", following: list[UrdfJoint], path: Path
+) -> "RobotFile":
+    """Return a robot file without joints that follow others.
+
+    Raises ConfigError where something else of the file rests on one of them.
+    """
+    names = {joint.name for joint in following}
+    resting = [(imu.name, imu.after_joint) for imu in content.imu]
+    resting += [(entry.name, entry.joint) for entry in content.effect if entry.joint]
+    for what, joint in resting:
+        if joint in names:
+            raise ConfigError(
+                f"{what!r} is at joint {joint!r}, which follows another joint (mimic)"
+                " and is no joint of the arm",
+                where=str(path),
+                hint="Name the joint that carries it, or remove <mimic> from the URDF.",
+            )
+    joints = [entry for entry in content.joint if entry.name not in names]
+    return replace(content, joint=joints)
 
 
 def _chain_from_dh(content: "RobotFile") -> "Chain":

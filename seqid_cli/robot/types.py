@@ -131,6 +131,8 @@ class Robot:
     geometry_error_m: float = 0.0
     geometry_error_rad: float = 0.0
     locked: tuple[LockedJoint, ...] = ()  # of the URDF's chain up to the last joint
+    # Joints that the robot file names and the arm does without: they mimic another.
+    followers: tuple[UrdfJoint, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line: the robot's name and its joints."""

@@ -303,6 +303,22 @@ def _repeated(kind: str, names: list[str]) -> Iterator[Problem]:
             )
 
 
+def followers(urdf: UrdfText, names: Sequence[str]) -> list[UrdfJoint]:
+    """Return the joints of a robot file that mimic another and carry none of the rest.
+
+    They have no drive, and without them the others are a whole arm: a gripper's second
+    finger, say.
+    """
+    listed = [urdf.joints[name] for name in names if name in urdf.joints]
+    driven = [joint for joint in listed if not joint.follows]
+    carrying = {
+        carrier.name for joint in driven for carrier in urdf.chain_to(joint.child)
+    }
+    if not driven:
+        return []
+    return [joint for joint in listed if joint.follows and joint.name not in carrying]
+
+
 def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
     """Check that the joints of a robot file move by themselves in the URDF.
 
@@ -324,6 +340,7 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
                 f" {movable}"
             )
         elif joint.follows:
+            # Those beside the arm are left out before (`followers`).
             fault = f"follows joint {joint.follows!r} (mimic) in {file}"
             hint = (
                 "Leave it out, it is then locked at zero; or remove <mimic> from the"

@@ -237,3 +237,39 @@ def test_fingers_mimics_and_unknown_channels_are_left_out_by_name(
     assert "finger_2 is left out: it follows finger (mimic)" in second
     assert "camera_tilt is left out: it is no joint of the robot file" in camera
     assert 'name = "camera_tilt"' in camera
+
+
+def test_a_mimic_joint_in_the_robot_file_changes_nothing_of_the_others(
+    tmp_path: Path,
+) -> None:
+    links = (
+        '<link name="base"/><link name="arm"><inertial><origin xyz="0.15 0 0"/>'
+        '<mass value="1"/><inertia ixx="0.004" iyy="0.004" izz="0.004" ixy="0"'
+        ' ixz="0" iyz="0"/></inertial></link>'
+    )
+    text = HAND.replace('<link name="base"/><link name="arm"/>', links)
+    (tmp_path / "hand.urdf").write_text(text)
+    log = recorded()
+    assert log.command is not None
+    assert log.tau is not None
+    path = write_parquet(
+        tmp_path / "log.parquet",
+        log.t,
+        ["joint_1", "finger_2"],
+        np.hstack([log.q, 0.01 + 0.0 * log.q]),
+        command=np.hstack([log.command, 0.0 * log.q]),
+        torque=np.hstack([log.tau, 0.0 * log.q]),
+    )
+    files = []
+    for joints in (["joint_1"], ["joint_1", "finger_2"]):
+        (tmp_path / "robot.toml").write_text(
+            'schema = "seqid/robot@1"\nname = "hand"\nurdf = "hand.urdf"\n'
+            "gravity = [0.0, 0.0, -9.81]\n"
+            + "".join(f'[[joint]]\nname = "{name}"\n' for name in joints)
+        )
+        files.append(drives.drive([path], tmp_path / "robot.toml", settings=BY_ROWS))
+    without, with_mimic = files
+    assert with_mimic.joints == without.joints
+    assert "joint_1" in without.joints
+    words = "finger_2 is left out: it follows finger (mimic)"
+    assert [told(file).count(words) for file in files] == [1, 1]

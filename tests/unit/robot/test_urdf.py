@@ -66,6 +66,21 @@ def test_mimic_joints_and_other_branches_are_locked(tmp_path: Path) -> None:
     assert save_robot(tmp_path, BRANCHES, ("right",)).n == 1
 
 
+def test_a_mimic_joint_beside_the_arm_is_left_out_by_name(tmp_path: Path) -> None:
+    arm = save_robot(tmp_path, MIMIC, ("turn", "right"))
+    assert arm.joint_names == ("turn",)
+    assert [joint.name for joint in arm.followers] == ["right"]
+    without = save_robot(tmp_path, MIMIC, ("turn",))
+    np.testing.assert_allclose(arm.nominal, without.nominal)
+    assert not without.followers
+
+
+CARRYING_MIMIC = urdf(
+    *(link(name, mass=1.0) for name in ("base", "l1", "l2", "l3")),
+    joint("first", "base", "l1"),
+    joint("follower", "l1", "l2", extra='<mimic joint="first"/>'),
+    joint("last", "l2", "l3"),
+)
 ORDER, KNOWN = "not in chain order: ", ", ".join(NAMES_6R)
 
 
@@ -73,11 +88,12 @@ ORDER, KNOWN = "not in chain order: ", ", ".join(NAMES_6R)
     ("text", "names", "message", "hint"),
     [
         (
-            MIMIC,
-            "turn right",
-            r"joint\[1\].name 'right' follows joint 'left'",
+            CARRYING_MIMIC,
+            "first follower last",
+            r"joint\[1\].name 'follower' follows joint 'first'",
             "locked",
         ),
+        (MIMIC, "right", r"joint\[0\].name 'right' follows joint 'left'", "locked"),
         (MIMIC, "left turn", f"{ORDER}left, turn", "turn, left"),
         (
             urdf_6r(),

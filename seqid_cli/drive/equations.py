@@ -14,13 +14,18 @@ Where the model's torque stands for a measured one, l is 0.
 Each log has an offset of its own. With an integral each stretch has one in which the
 controller went by this law, for the integral begins anew behind it. Columns and torque
 are freed of their means instead, stretch by stretch.
+
+Commands that hold bend speeds between rows. By how much rows miss that is known, but
+for a factor of each joint whose command steps (`bends`). Columns and
+torque are freed of it as well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.drive.bends import delayed_bends
 from seqid_cli.drive.signals import DriveSignals, delayed_command, delayed_sum, shifted
 from seqid_cli.logs.raw import Rows
 from seqid_cli.motion.filters.differentiation import runs
@@ -53,6 +58,8 @@ UNITS = {
 LEAST_STRETCH_S = 1.0
 # Rows are taken so many times per period of the cut-off: others repeat them.
 ROWS_PER_PERIOD = 6.0
+# Of the square of a unit column, that belongs to no other: less is rounding.
+SPANS = 1e-8
 # Rows are off alike over so long at most [s], for errors.
 ALIKE_S = 1.0
 
@@ -78,6 +85,11 @@ class Equations:
     at: Rows  # (M,) place of each row on a grid that goes through all logs
     rate_hz: float  # of that grid
     means: Array  # (p + 1,) of columns and torque, over all rows
+    bends: Array  # (M, k) orthonormal, of which columns and torque are free
+
+    def freed(self, values: Array) -> Array:
+        """Return values (M, ...) of the rows without what bends explain."""
+        return values - self.bends @ (self.bends.T @ values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +101,7 @@ class JointLaw:
     course: str  # "held" or "interpolated": what commands do between two stamps
     used: Sequence[Mask]  # (N,) of each log
     lawful: Sequence[Mask]  # (N,) of each log, where the controller goes by the law
+    bends: bool = True  # whether what rows miss of speeds counts
 
     def equations(self, names: Sequence[str], delays: Delays) -> Equations:
         """Write the law as equations for the parts of some names."""
@@ -97,7 +110,9 @@ class JointLaw:
         rate_hz = self.logs[0].rate_hz / self._stride(self.logs[0])
         for log, used, lawful in zip(self.logs, self.used, self.lawful, strict=True):
             columns, y = self.columns(log, names, delays)
-            keep = used & np.isfinite(columns).all(axis=1) & np.isfinite(y)
+            columns = np.hstack([columns, self._bends(log, delays)])
+            # A sum is not finite where one of its parts is not.
+            keep = used & np.isfinite(columns @ np.ones(columns.shape[1]) + y)
             stride = self._stride(log)
             for stretch in self._stretches(lawful, log.rate_hz, INTEGRAL in names):
                 rows = stretch[keep[stretch] & (stretch % stride == 0)]
@@ -113,16 +128,30 @@ class JointLaw:
                 at=np.zeros(0, np.intp),
                 rate_hz=rate_hz,
                 means=np.zeros(len(names) + 1),
+                bends=np.zeros((0, 0)),
             )
         X_all = np.concatenate([X for X, _, _ in parts])
         y_all = np.concatenate([y for _, y, _ in parts])
-        return Equations(
-            X=np.concatenate([X - X.mean(axis=0) for X, _, _ in parts]),
-            y=np.concatenate([y - y.mean() for _, y, _ in parts]),
+        X = np.concatenate([X - X.mean(axis=0) for X, _, _ in parts])
+        y = np.concatenate([y - y.mean() for _, y, _ in parts])
+        p = len(names)
+        equations = Equations(
+            X=X[:, :p],
+            y=y,
             at=np.concatenate([at for _, _, at in parts]),
             rate_hz=rate_hz,
-            means=np.append(X_all.mean(axis=0), y_all.mean()),
+            means=np.append(X_all[:, :p].mean(axis=0), y_all.mean()),
+            bends=_orthonormal(X[:, p:]),
         )
+        if not equations.bends.shape[1]:
+            return equations
+        return replace(equations, X=equations.freed(X[:, :p]), y=equations.freed(y))
+
+    def _bends(self, log: DriveSignals, delays: Delays) -> Array:
+        """Return what rows miss of speeds (N, k), a column for each command."""
+        if self.course != "held" or not log.measured or not self.bends:
+            return np.zeros((len(log.q), 0))
+        return delayed_bends(log, delays.torque, delays.torque + delays.command)
 
     def _summed(
         self, log: DriveSignals, error: Array, lag: float, total: float
@@ -173,6 +202,15 @@ class JointLaw:
             for start, stop in runs(lawful, len(lawful))
             if stop - start >= least
         ]
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Return a basis (M, r) of what some columns (M, k) span."""
+    scale = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(scale > 0.0, scale, 1.0)
+    squares, axes = np.linalg.eigh(unit.T @ unit)
+    spans = squares > SPANS
+    return np.asarray(unit @ (axes[:, spans] / np.sqrt(squares[spans])))
 
 
 def _trapezoids(values: Array) -> Array:

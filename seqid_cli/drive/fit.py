@@ -8,11 +8,11 @@ of the cut-off, and the change counts beside the errors of noise (`row_errors`).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.drive.courses import better_course
+from seqid_cli.drive.courses import Candidate, better_course, tells_course
 from seqid_cli.drive.equations import (
     ACCELERATION_FEEDFORWARD,
     DERIVATIVE,
@@ -35,14 +35,21 @@ from seqid_cli.drive.limits import (
 )
 from seqid_cli.drive.row_errors import row_errors
 from seqid_cli.drive.row_fit import JointFit
-from seqid_cli.drive.search import Solution, first_names, refined, same_steps, search
+from seqid_cli.drive.search import (
+    Solution,
+    first_names,
+    independent_rows,
+    refined,
+    same_steps,
+    search,
+)
 from seqid_cli.drive.settings import DriveSettings, TermSettings
 from seqid_cli.drive.signals import DriveSignals, courses_of_all
 from seqid_cli.typing import Mask
 
 FEEDFORWARD = (VELOCITY_FEEDFORWARD, ACCELERATION_FEEDFORWARD)
 # Share of a part's column that no other explains: with less, logs cannot show the part.
-MIN_OWN_SHARE = 0.02
+MIN_OWN_SHARE = 0.005
 # Share of what is left that a part takes away at least: less is the form of the law.
 MIN_GAIN = 0.005
 # Standard errors by which half of the band moves a number by chance.
@@ -66,24 +73,52 @@ def fit_joint(
     joint : int
     settings : DriveSettings
     """
-    fits = []
-    for course in courses_of_all(logs):
-        fit = _fit_course(logs, narrow, joint, course, settings)
-        if fit is not None:
-            fits.append(fit)
-    if len(fits) < 2:
-        return fits[0] if fits else None
-    return better_course(logs, joint, fits)
+    begun = []
+    courses = courses_of_all(logs)
+    if not tells_course(logs):
+        courses = courses[:1]
+    for course in courses:
+        beginning = _begun(logs, joint, course)
+        if beginning is not None:
+            begun.append(beginning)
+    if not begun:
+        return None
+    chosen = 0
+    is_known = len(courses_of_all(logs)) < 2
+    if len(begun) > 1:
+        candidates = [
+            Candidate(course=each.law.course, delays=each.first.delays)
+            for each in begun
+        ]
+        better = better_course(logs, joint, candidates)
+        is_known = better is not None
+        chosen = better or 0
+    beginning = begun[chosen]
+    fit = _finished(beginning, narrow, settings)
+    if beginning.limit is not None and fit is not None and fit.limit is None:
+        # The whole law asks for no more than there was: no row is at a limit.
+        whole = _begun(logs, joint, beginning.law.course, limits=False)
+        fit = fit if whole is None else _finished(whole, narrow, settings)
+    return None if fit is None else replace(fit, course_is_known=is_known)
 
 
-def _fit_course(
-    logs: Sequence[DriveSignals],
-    narrow: Sequence[DriveSignals],
-    joint: int,
-    course: str,
-    settings: DriveSettings,
-) -> JointFit | None:
-    """Fit the controller of a joint for what commands do between two stamps."""
+@dataclass(frozen=True, kw_only=True)
+class _Beginning:
+    """A joint's law before its parts are told apart.
+
+    `first` is by the parts of `search.first_names`, `largest` the largest torque [N m].
+    """
+
+    law: JointLaw
+    first: Solution
+    limit: Limit | None
+    largest: float
+
+
+def _begun(
+    logs: Sequence[DriveSignals], joint: int, course: str, *, limits: bool = True
+) -> _Beginning | None:
+    """Look for delays, and for limits, given what commands do between two stamps."""
     law = JointLaw(
         logs=logs,
         joint=joint,
@@ -101,11 +136,12 @@ def _fit_course(
     without_top = replace(law, used=below(law, law.used, TOP_SHARE * largest))
     first = search(without_top, first_names(law), roughly=True)
     if first is None:
-        without_top = law
         first = search(law, first_names(law), roughly=True)
     if first is None:
         return None
-    limit = torque_limit_of(law, first, largest)
+    limit = None
+    if limits:
+        limit = torque_limit_of(law, first_names(law), first, largest)
     if limit is not None:
         law = replace(
             law,
@@ -114,16 +150,26 @@ def _fit_course(
         )
         again = search(law, first_names(law), roughly=True)
         first = first if again is None else again
+    return _Beginning(law=law, first=first, limit=limit, largest=largest)
 
-    shares = _shares(law, first.delays)
-    shown = [name for name, share in shares.items() if share >= MIN_OWN_SHARE]
-    if PROPORTIONAL not in shown:
-        shown = [PROPORTIONAL]
+
+def _finished(
+    beginning: _Beginning, narrow: Sequence[DriveSignals], settings: DriveSettings
+) -> JointFit | None:
+    """Find which parts the law has, and describe it."""
+    law = beginning.law
+    shares, shown = _shown(law, beginning.first.delays)
     # Another law may have another delay: the whole grid once more.
     solution = search(law, shown, roughly=True)
     if solution is None:
         return None
     names, solution, refused = _without_absent(law, shown, solution, settings)
+    limit = beginning.limit
+    if limit is not None:
+        # The first law lacks parts, an integral above all, and may ask for too much.
+        of_all = replace(law, used=[_used(log, law.joint) for log in law.logs])
+        if torque_limit_of(of_all, names, solution, beginning.largest) is None:
+            limit = None
     return _described(
         law,
         narrow,
@@ -132,7 +178,7 @@ def _fit_course(
         refused,
         shares,
         limit,
-        largest,
+        beginning.largest,
     )
 
 
@@ -147,8 +193,25 @@ def _used(log: DriveSignals, joint: int) -> Mask:
     return used
 
 
-def _shares(law: JointLaw, delays: Delays) -> dict[str, float]:
-    """Return the share of each part's column that the other parts do not explain."""
+def _shown(law: JointLaw, delays: Delays) -> tuple[dict[str, float], list[str]]:
+    """Return the shares of parts' columns that are their own, and parts that show.
+
+    No controller is without a proportional part: where other parts explain its column,
+    the one with the least of its own is left out.
+    """
+    names = _possible(law)
+    shares = _shares(law, names, delays)
+    while shares[PROPORTIONAL] < MIN_OWN_SHARE and len(names) > 1:
+        others = [name for name in names if name != PROPORTIONAL]
+        least = min(others, key=lambda name: shares[name])
+        names.remove(least)
+        shares |= _shares(law, names, delays)
+    shown = [name for name in (*names, INTEGRAL) if shares[name] >= MIN_OWN_SHARE]
+    return shares, shown or [PROPORTIONAL]
+
+
+def _possible(law: JointLaw) -> list[str]:
+    """Return the parts beside an integral that these logs may show."""
     names = [name for name in PARTS if name != INTEGRAL]
     if law.course == "held":
         # A command that steps has no slope for a controller to feed forward.
@@ -157,6 +220,11 @@ def _shares(law: JointLaw, delays: Delays) -> dict[str, float]:
         # The model's torque is mostly the acceleration, and so is that of a command
         # which the joint follows: this part would stand for the whole controller.
         names.remove(ACCELERATION_FEEDFORWARD)
+    return names
+
+
+def _shares(law: JointLaw, names: Sequence[str], delays: Delays) -> dict[str, float]:
+    """Return the share of each part's column that the other parts do not explain."""
     shares = own_shares(law.equations(names, delays).X)
     by_name = dict(zip(names, shares.tolist(), strict=True))
     # With an integral every stretch has an offset of its own.
@@ -177,7 +245,10 @@ def _without_absent(
     solution: Solution,
     settings: DriveSettings,
 ) -> tuple[tuple[str, ...], Solution, dict[str, float]]:
-    """Take parts out one by one that are not there; returns their standard errors."""
+    """Take parts out one by one that are not there; returns their standard errors.
+
+    These hold what a part seemed to be as well.
+    """
     names = list(shown)
     refused: dict[str, float] = {}
     while len(names) > 1:
@@ -189,9 +260,12 @@ def _without_absent(
         # The integral changes which rows share an offset: both on the same ones.
         simpler = same_steps(law, fewer, solution.delays)
         gain = 1.0 - solution.squares / max(simpler.squares, 1e-300)
-        if is_part(float(sigma[weakest]), gain, settings.terms):
+        by_gain = float(np.sqrt(max(gain, 0.0) * independent_rows(law)))
+        if is_part(min(float(sigma[weakest]), by_gain), gain, settings.terms):
             break
-        refused[names[weakest]] = float(errors[weakest])
+        # It may be as large as it seemed: no log tells it from the form of the law.
+        seeming = float(solution.theta[weakest])
+        refused[names[weakest]] = float(np.hypot(errors[weakest], seeming))
         names = fewer
         solution = simpler
     return tuple(names), refined(law, names, solution.delays), refused
@@ -203,7 +277,9 @@ def is_part(sigma: float, gain: float, settings: TermSettings) -> bool:
     Parameters
     ----------
     sigma : float
-        Standard errors of its gain from zero.
+        Standard errors from zero: of its number, or of what it takes away where these
+        are fewer. A delay and both feed-forwards are nearly one, so that the errors of
+        linear equations say too little there.
     gain : float
         Share of what is left that it takes away.
     settings : TermSettings
@@ -224,9 +300,10 @@ def _described(
     """Return the result of a fit, errors widened by what the band does."""
     equations = law.equations(names, solution.delays)
     errors = row_errors(law, names, solution)
-    # The same law in half of the band, at delays of its own.
+    # The same law in half of the band, at delays of its own. When steps come is no
+    # question of the band.
     in_half = replace(law, logs=narrow)
-    other = refined(in_half, names, solution.delays)
+    other = same_steps(in_half, names, solution.delays)
     change = np.append(
         other.theta - solution.theta,
         [

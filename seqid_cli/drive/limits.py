@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.drive.equations import Delays, JointLaw
-from seqid_cli.drive.search import Solution, first_names
+from seqid_cli.drive.search import Solution
 from seqid_cli.drive.signals import shifted
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Mask
@@ -50,16 +50,27 @@ def below(law: JointLaw, of: Sequence[Mask], limit: float) -> list[Mask]:
     return masks
 
 
-def torque_limit_of(law: JointLaw, first: Solution, largest: float) -> Limit | None:
-    """Find the limit of the torque: where more is predicted than was ever measured."""
-    names = first_names(law)
+def torque_limit_of(
+    law: JointLaw, names: Sequence[str], solution: Solution, largest: float
+) -> Limit | None:
+    """Find the limit of the torque: where more is predicted than was ever measured.
+
+    Parameters
+    ----------
+    law : JointLaw
+        With all rows, those at a limit too.
+    names, solution
+        The law's parts and their numbers, from other rows.
+    largest : float
+        N m, that was measured.
+    """
     at_limit = []
     for log, used in zip(law.logs, law.used, strict=True):
-        columns, _ = law.columns(log, names, first.delays)
+        columns, _ = law.columns(log, names, solution.delays)
         inside = used & np.isfinite(columns).all(axis=1)
         if not inside.any():
             continue
-        predicted = columns @ first.theta
+        predicted = columns @ solution.theta
         offset = np.median((log.torque[:, law.joint] - predicted)[inside])
         beyond = inside & (np.abs(predicted + offset) > BEYOND * largest)
         torque = log.raw.tau if log.measured else log.torque

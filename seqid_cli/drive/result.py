@@ -54,6 +54,7 @@ WINDOW_UNITS: Mapping[str, str] = {
     "load_friction": "1",
     "dead_band": "rad",
 }
+STATES_OF_ROWS = ("identified", "absent")
 # What has no scale of its own where no torque, gravity or inertia is known.
 SCALED = (PROPORTIONAL, DERIVATIVE, INTEGRAL, "armature", "coulomb", "stribeck")
 TOO_FEW = "too few samples in which it follows its command: record more motion"
@@ -66,6 +67,12 @@ VISCOUS_TOO = (
     "it holds viscous friction as well, which the model lacks: log a torque or a"
     " commanded velocity, or give a model with friction (seqid friction)"
 )
+# A part that was not found and may be as large as this is not absent, but not shown: of
+# the proportional gain [1/s] (slower, it would take 10 s to do as much), of the
+# derivative, of gravity.
+LEAST_INTEGRAL = 0.1
+LEAST_FEEDFORWARD = 0.3
+LEAST_GRAVITY = 0.3
 # Of the error that the fit by rows leaves in held-out windows.
 BETTER = 0.99
 # Delays of joints that differ by less than so many standard errors are one.
@@ -250,9 +257,11 @@ class _Described:
         """Put what windows tell in the place of what rows tell."""
         by_name = {parameter.name: parameter for parameter in parameters}
         if PROPORTIONAL in fit.values:
-            # What rows took for a part belongs to a law of other gains.
+            # What rows took for a part belongs to a law of other gains. Without its
+            # friction and rotor they cannot say what is absent, either.
+            stale = {"identified"} if fit.by_rows is not None else {*STATES_OF_ROWS}
             for name in PARTS:
-                if by_name[name].state == "identified" and name not in fit.values:
+                if by_name[name].state in stale and name not in fit.values:
                     by_name[name] = DriveParameter(
                         name=name,
                         value=None,
@@ -332,7 +341,7 @@ def _part(fit: JointFit, name: str, *, slides: bool) -> DriveParameter:
     unit = unit_of(UNITS[name], slides)
     if name in fit.names:
         return _identified(name, fit.values[name], fit.std_errors[name], unit)
-    if name in fit.refused:
+    if name in fit.refused and INTERVAL * fit.refused[name] < _least(fit, name):
         error = fit.refused[name]
         return DriveParameter(
             name=name,
@@ -353,7 +362,22 @@ def _part(fit: JointFit, name: str, *, slides: bool) -> DriveParameter:
     )
 
 
+def _least(fit: JointFit, name: str) -> float:
+    """Return the size of a part from which on it matters, in its own unit."""
+    if name == INTEGRAL:
+        return LEAST_INTEGRAL * fit.values[PROPORTIONAL]
+    if name == GRAVITY:
+        return LEAST_GRAVITY
+    if name == VELOCITY_FEEDFORWARD and DERIVATIVE in fit.values:
+        return LEAST_FEEDFORWARD * fit.values[DERIVATIVE]
+    return np.inf
+
+
 def _why_not_shown(fit: JointFit, name: str) -> str:
+    if name in fit.refused:
+        return (
+            f"it may be as large as {INTERVAL * fit.refused[name]:.2g}: {RECORD[name]}"
+        )
     if name not in fit.own_shares:
         if fit.course == "held":
             return "commands that hold have no slope to feed forward"

@@ -18,14 +18,14 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.drive.equations import ALIKE_S, Equations, JointLaw
-from seqid_cli.drive.search import Solution, solved_at
+from seqid_cli.drive.search import Solution
 from seqid_cli.drive.slopes import slopes_over_delays
 from seqid_cli.typing import Array
 
-# A held command takes effect where the controller looks next [s]: half a step of a fast
-# one. It bends the speed between two rows, which looks like a lag of a part of a row.
+# A controller acts in steps of its own: half a step of a fast one [s].
 LATE_S = 1e-4
-LATE_ROWS = 0.02
+# Between two rows a step bends the speed, which looks like a lag of a part of a row.
+LATE_ROWS = 0.01
 # Stretches of time, longer than the filter's memory, in which a motion bends once [s].
 BEND_S = 0.2
 # Lags up to this share of the longest count in full, those beyond less and less.
@@ -49,22 +49,20 @@ def row_errors(law: JointLaw, names: Sequence[str], solution: Solution) -> Array
     variances = np.zeros(len(names) + 2)
     variances[:p] = np.maximum(*each) / scale**2
     variances += solution.spread
-    if law.course == "held":
-        variances += _of_steps(law, names, solution)
+    variances[-2:] += _of_steps(law)
     return np.sqrt(variances)
 
 
-def _of_steps(law: JointLaw, names: Sequence[str], solution: Solution) -> Array:
-    """Return what steps between rows move gains and delays by, squared (p + 2,)."""
-    late_s = float(np.hypot(LATE_S, LATE_ROWS / law.logs[0].rate_hz))
-    squares = np.full(len(names) + 2, late_s**2)
-    squares[: len(names)] = 0.0
-    # The whole time is off, or the motion against the command alone.
-    for move in ({"command": late_s}, {"torque": late_s, "command": -late_s}):
-        moved = solved_at(law, names, solution.delays.moved(**move))
-        if moved is not None:
-            squares[: len(names)] += (moved.theta - solution.theta) ** 2
-    return squares
+def _of_steps(law: JointLaw) -> Array:
+    """Return what steps of commands and of the controller do to both delays (2,) [s^2].
+
+    Gains are right all the same: the lag takes all of it.
+    """
+    log = law.logs[0]
+    if law.course != "held":
+        return np.array([0.0 if log.measured else LATE_S**2, 0.0])
+    lag_s = LATE_ROWS / log.rate_hz
+    return np.array([LATE_S**2 + lag_s**2, lag_s**2])
 
 
 def _of_bends(J: Array, left: Array, equations: Equations) -> Array:

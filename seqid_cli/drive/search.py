@@ -22,10 +22,20 @@ from seqid_cli.typing import Array
 
 FEWEST_ROWS = 40  # of all logs, for a controller to be fitted
 # Commands that step are looked for within so many rows of the grid's best, in steps of
-# a share of a row; then within so many finer steps, as long as one of them is likely.
+# a share of a row, and then of a controller; then within so many finer steps, as long
+# as one of them is likely.
 HELD_ROWS = 1.5
 HELD_STEP = 0.25
-HELD_FINER = 5
+HELD_STEP_S = 1e-4
+HELD_FINER = 4
+# Times that leave up to so many times the least are looked at closely, so many of them.
+HELD_ALIKE = 2.0
+MOST_TOTALS = 12
+BEST_TOTALS = 4
+# Of what is left, by which times are not told apart: steps that come between two rows
+# are alike, but for the form of the law.
+ALIKE = 0.05
+MOST_MOVES = 4  # where the least is at an end of these times
 FINEST_S = 2e-5
 # Rounds of Gauss-Newton at most, shares of a step that are tried, and a step [s] after
 # which none follows.
@@ -87,8 +97,10 @@ def search(
 ) -> Solution | None:
     """Find both delays on a grid, then between its places.
 
-    `roughly`: commands that step are not looked for within a row.
+    `roughly`: commands that step are found to `HELD_STEP` of a row.
     """
+    # Of bends only the law of the result is free: a grid would take long for them.
+    of_grid = replace(law, bends=False)
     lags = np.linspace(0.0, MAX_LAG_S, LAG_GRID)
     if not law.logs[0].measured:
         lags = lags[:1]
@@ -98,7 +110,7 @@ def search(
     for lag in lags:
         for delay in np.arange(lowest, _longest_delay(law), GRID_S):
             delays = Delays(command=float(delay), torque=float(lag))
-            solution = solved_at(law, names, delays)
+            solution = solved_at(of_grid, names, delays)
             if solution is None:
                 continue
             opposes = solution.opposes(names)
@@ -110,9 +122,29 @@ def search(
                 best_opposes = opposes
     if best is None:
         return None
+    if law.course == "held":
+        best = _near(of_grid, names, best)
     if roughly:
         return same_steps(law, names, best.delays)
     return refined(law, names, best.delays)
+
+
+def _near(law: JointLaw, names: Sequence[str], start: Solution) -> Solution:
+    """Find both delays to a part of a row, where commands step.
+
+    At the places of a grid the lag makes up for the rest of a row.
+    """
+    row_s = 1.0 / law.logs[0].rate_hz
+    middle = start.delays.command + start.delays.torque
+    best = start
+    for move in np.arange(-HELD_ROWS, HELD_ROWS + 1e-9, HELD_STEP) * row_s:
+        total_s = float(middle + move)
+        solution = _with_lag(law, names, total_s, start.delays.torque)
+        if solution is None or not solution.squares < best.squares:
+            continue
+        if solution.opposes(names) or not best.opposes(names):
+            best = solution
+    return best
 
 
 def same_steps(law: JointLaw, names: Sequence[str], start: Delays) -> Solution:
@@ -201,34 +233,65 @@ def _refined_held(law: JointLaw, names: Sequence[str], start: Delays) -> Solutio
     Every time from command to torque counts as much as it is likely. The mean of all is
     the answer, and what they differ by belongs to its error.
     """
-    step_s = HELD_STEP / law.logs[0].rate_hz
-    middle = start.command + start.torque
-    around = np.arange(-HELD_ROWS, HELD_ROWS + 1e-9, HELD_STEP) / law.logs[0].rate_hz
+    totals = _scanned(law, names, start)
+    step_s = float(np.median(np.diff(totals))) if len(totals) > 1 else HELD_STEP_S
+    moves_left = MOST_MOVES
+    finer = np.arange(-HELD_FINER, HELD_FINER + 1, dtype=np.float64)
     lag = start.torque
     while True:
         solutions = []
-        for total in middle + around:
+        for total in totals:
             solution = _with_lag(law, names, float(total), lag)
             if solution is not None:
                 solutions.append(solution)
+                lag = solution.delays.torque
         weights = _likelihoods(law, solutions)
         likeliest = solutions[int(np.argmax(weights))]
+        at_end = int(np.argmax(weights)) in (0, len(solutions) - 1)
         lag = likeliest.delays.torque
         unknowns = np.array([_unknowns_of(solution) for solution in solutions])
         mean = weights @ unknowns
         spread = weights @ (unknowns - mean) ** 2
-        totals = unknowns[:, -2:].sum(axis=1)
-        middle = float(weights @ totals)
-        spread_s = float(np.sqrt(weights @ (totals - middle) ** 2))
-        if spread_s > step_s or step_s < FINEST_S:
+        middle = float(mean[-2:].sum())
+        squares = (unknowns[:, -2:].sum(axis=1) - middle) ** 2
+        spread_s = float(np.sqrt(weights @ squares))
+        if at_end and moves_left:
+            # The least lies beyond: the lag was that of another time.
+            moves_left -= 1
+        elif spread_s > step_s or step_s < FINEST_S:
             break
-        step_s = 0.25 * step_s
-        around = step_s * np.arange(-HELD_FINER, HELD_FINER + 1, dtype=np.float64)
+        else:
+            step_s = 0.25 * step_s
+        totals = middle + step_s * finer
     delays = Delays(command=float(mean[-2]), torque=float(mean[-1]))
     best = solved_at(law, names, delays) or likeliest
     # A step of the grid is as good as any place in it.
     spread[-2] += step_s**2 / 12.0
     return replace(best, spread=spread)
+
+
+def _scanned(law: JointLaw, names: Sequence[str], start: Delays) -> Array:
+    """Return times from command to torque (K,) [s] that may be, the lag as it is.
+
+    Where commands and rows come at one beat, all steps pass a row within a moment: at
+    the wrong side of it they are a row off, all or some of them. Where steps are far
+    from rows, all times between two rows are alike.
+    """
+    side_s = HELD_ROWS / law.logs[0].rate_hz
+    bare = replace(law, bends=False)
+    totals = []
+    squares = []
+    for move in np.arange(-side_s, side_s + 1e-9, HELD_STEP_S):
+        delays = start.moved(command=float(move))
+        solution = solved_at(bare, names, delays)
+        if solution is not None:
+            totals.append(delays.command + delays.torque)
+            squares.append(solution.squares)
+    order = np.argsort(squares)
+    alike = np.flatnonzero(np.array(squares) <= HELD_ALIKE * min(squares))
+    stride = max(1, len(alike) // MOST_TOTALS)
+    chosen = np.union1d(alike[::stride], order[:BEST_TOTALS])
+    return np.array(totals)[chosen]
 
 
 def _unknowns_of(solution: Solution) -> Array:
@@ -240,12 +303,19 @@ def _unknowns_of(solution: Solution) -> Array:
 def _likelihoods(law: JointLaw, solutions: Sequence[Solution]) -> Array:
     """Return how likely each solution is, all together 1."""
     squares = np.array([solution.squares for solution in solutions])
+    excess = np.maximum(squares / squares.min() - 1.0 - ALIKE, 0.0)
+    weights = np.exp(-0.5 * independent_rows(law) * excess)
+    return np.asarray(weights / weights.sum())
+
+
+def independent_rows(law: JointLaw) -> float:
+    """Return how many rows there are that do not repeat others.
+
+    Those within half a period of the cut-off do.
+    """
     rows = sum(int(np.count_nonzero(used)) for used in law.used)
     log = law.logs[0]
-    # Rows within half a period of the cut-off repeat each other.
-    independent = rows * 2.0 * log.cutoff_hz / log.rate_hz
-    weights = np.exp(-0.5 * independent * (squares / squares.min() - 1.0))
-    return np.asarray(weights / weights.sum())
+    return rows * min(1.0, 2.0 * log.cutoff_hz / log.rate_hz)
 
 
 def _with_lag(
@@ -261,11 +331,14 @@ def _with_lag(
         return best
     for _ in range(ROUNDS):
         step_s = float(_step(law, names, best)[1])
-        lag = best.delays.torque + step_s
-        other = at(float(np.clip(lag, -MAX_LAG_S, 2.0 * MAX_LAG_S)))
-        if other is None or not other.squares < best.squares:
+        for share in SHARES:
+            lag = best.delays.torque + share * step_s
+            other = at(float(np.clip(lag, -MAX_LAG_S, 2.0 * MAX_LAG_S)))
+            if other is not None and other.squares < best.squares:
+                best = other
+                break
+        else:
             break
-        best = other
         # What the next step would move is the square of this one.
         if abs(step_s) < NEAR_LAG_S:
             break

@@ -39,7 +39,7 @@ KNOTS = np.arange(-3, 5)
 MARGIN = 0.2
 # Delays of commands that step are told apart by so many digits of a second.
 DELAY_DIGITS = 9
-MOST_HELD = 100  # of these commands are kept: they take memory
+MOST_HELD = 200  # of these commands are kept: they take memory
 # A joint stands that has moved by less than so many steps of its encoder for so long.
 STANDS_S = 0.1
 STANDS_STEPS = 1.5
@@ -318,14 +318,26 @@ def _kept(
     at: Callable[[DriveSignals, int, Array], Array],
 ) -> Array:
     """Return what a command does some time before, low-passed: a search asks often."""
-    key = (kind, joint, round(delay_s, DELAY_DIGITS))
-    if key not in log.held:
-        if len(log.held) >= MOST_HELD:
-            log.held.clear()
+
+    def computed() -> Array:
         sampled = at(log, joint, log.raw.t - delay_s)
         lowpass = Lowpass(log.cutoff_hz, log.rate_hz)
-        log.held[key] = lowpass(sampled[:, None], log.raw.valid)[:, 0]
-    return log.held[key]
+        return np.asarray(lowpass(sampled[:, None], log.raw.valid)[:, 0])
+
+    return kept(log, (kind, joint, delay_s), computed)
+
+
+def kept(
+    log: DriveSignals, key: tuple[str, int, float], computed: Callable[[], Array]
+) -> Array:
+    """Return what was computed for a kind, a number and a delay [s], or compute it."""
+    kind, number, delay_s = key
+    rounded = (kind, number, round(delay_s, DELAY_DIGITS))
+    if rounded not in log.held:
+        if len(log.held) >= MOST_HELD:
+            log.held.clear()
+        log.held[rounded] = computed()
+    return log.held[rounded]
 
 
 def shifted(values: Array, samples: float) -> Array:

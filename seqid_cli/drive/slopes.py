@@ -1,6 +1,7 @@
 """How the law's torque changes with its delays, in rows."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,17 +27,22 @@ def slopes_over_delays(
     motion alone.
     """
     steps = law.course == "held"
-    moves = [{"command": 0.0 if steps else STEP_S}]
-    if law.logs[0].measured:
-        moves.append({"torque": STEP_S, "command": -STEP_S if steps else 0.0})
-    slopes = np.zeros((len(equations.y), len(moves)))
-    for k, move in enumerate(moves):
-        later = law.equations(names, delays.moved(**move))
+    measured = law.logs[0].measured
+    moves: dict[int, dict[str, float]] = {}
+    if not steps:
+        moves[0] = {"command": STEP_S}
+    if measured:
+        moves[1] = {"torque": STEP_S, "command": -STEP_S if steps else 0.0}
+    slopes = np.zeros((len(equations.y), 2 if measured else 1))
+    # Bends change little with a delay: those of the equations are taken out below.
+    bare = replace(law, bends=False)
+    for k, move in moves.items():
+        later = bare.equations(names, delays.moved(**move))
         back = {name: -step for name, step in move.items()}
-        earlier = law.equations(names, delays.moved(**back))
+        earlier = bare.equations(names, delays.moved(**back))
         # Rows at an end come and go: they have no slope.
         common, i, j = np.intersect1d(later.at, earlier.at, return_indices=True)
         _, own, other = np.intersect1d(equations.at, common, return_indices=True)
         change = (later.X[i] - earlier.X[j]) @ theta / (2.0 * STEP_S)
         slopes[own, k] = change[other]
-    return slopes
+    return equations.freed(slopes) if equations.bends.shape[1] else slopes

@@ -203,6 +203,7 @@ def simulate_drive(
     dc = np.gradient(c, STEP_S, axis=0)
     data.qpos[:] = command(np.zeros(1))[0]
     integral = np.zeros(n)
+    error_before = np.zeros(n)
     gravity = np.zeros(n)
     speed_before = np.zeros(n)
     every = round(1.0 / rate_hz / STEP_S)
@@ -222,7 +223,9 @@ def simulate_drive(
             mujoco.mj_crb(model, rest)
             mujoco.mj_rne(model, rest, 0, gravity)
         error = c[k] - q
-        integral += error * STEP_S
+        # By trapezoids: the error of a whole step would be half of one more in kp.
+        integral += 0.5 * (error + error_before) * STEP_S
+        error_before = error
         u = (
             drive.proportional * error
             - drive.derivative * dq
@@ -236,7 +239,9 @@ def simulate_drive(
             log.t.append(k * STEP_S)
             log.q.append(q)
             log.dq.append(dq)
-        data.qfrc_applied[:] = u
+        # Where it belongs in time: MuJoCo's own damping is that of half a step later,
+        # which makes a joint seem heavier.
+        data.qfrc_applied[:] = u - arm.viscous * dq
         if resists is not None:
             data.qfrc_applied[:] -= resists(q, dq, data.qfrc_bias.copy())
         mujoco.mj_step(model, data)
@@ -334,7 +339,7 @@ def _mjcf(arm: DrivenArm) -> str:
             f'<body pos="{_text(origin)}" quat="{_text(quaternion)}">'
             f'<inertial pos="{_text(com)}" mass="{mass}" fullinertia="{_text(full)}"/>'
             f'<joint axis="0 0 1" armature="{arm.armature[j]}"'
-            f' frictionloss="{arm.coulomb[j]}" damping="{arm.viscous[j]}"'
+            f' frictionloss="{arm.coulomb[j]}"'
             f' solreffriction="{2.0 * STEP_S} 1" solimpfriction="{HARD} {HARD} 1"/>'
         )
     return head + body + "</body>" * arm.robot.n + "</worldbody></mujoco>"

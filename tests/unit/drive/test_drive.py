@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from seqid_cli import drive as drives
+from seqid_cli.drive.settings import DriveSettings, WindowSettings
 from seqid_cli.errors import ConfigError, InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import head, robot_id
@@ -155,6 +156,56 @@ def test_a_limit_of_the_torque_is_found_and_left_out() -> None:
     assert number(file, "proportional").value == pytest.approx(
         arm().drive.proportional[0], rel=0.02
     )
+
+
+BY_ROWS = DriveSettings(windows=WindowSettings(most=0.0))
+
+
+@cache
+def drawn(seed: int, n: int, *, sent: bool = False) -> tuple[DrivenArm, DriveFile]:
+    """A drawn arm by its rows; `sent`: commands at 50 Hz by a clock of their own."""
+    of = drawn_arm(seed, n)
+    own: dict[str, Any] = {}
+    if sent:
+        of = of.with_drive(velocity_feedforward=np.zeros(n))
+        own = {"command_hz": 50.0, "own_clock": True}
+    log = simulate_drive(of, multisine(seed, n, 20.0), 20.0, seed=seed, **own)
+    return of, drives.drive([log], of.robot, file_of(of), settings=BY_ROWS)
+
+
+def test_a_law_that_lacks_its_integral_shows_no_limit() -> None:
+    of, file = drawn(1007, 3)
+    assert of.drive.integral[2] > 0.0
+    assert number(file, "torque_limit", "joint_3").state == "not_reached"
+    integral = number(file, "integral", "joint_3")
+    assert integral.value == pytest.approx(of.drive.integral[2], rel=0.01)
+
+
+def test_a_fast_loop_keeps_its_damping_and_its_gain() -> None:
+    of, file = drawn(1119, 1)
+    assert_holds(file, of)
+    assert number(file, "proportional").value == pytest.approx(
+        of.drive.proportional[0], rel=0.01
+    )
+    assert number(file, "derivative").state == "identified"
+
+
+def test_a_delay_is_not_taken_for_feed_forward_of_the_acceleration() -> None:
+    of, file = drawn(1129, 1)
+    assert number(file, "acceleration_feedforward").state == "absent"
+    assert_holds(file, of)
+
+
+def test_steps_of_other_joints_do_not_move_the_gains() -> None:
+    of, file = drawn(1202, 6, sent=True)
+    for j, name in enumerate(of.robot.joint_names):
+        joint = file.joints[name]
+        assert (joint.command, joint.command_known) == ("held", True)
+        gain = number(file, "proportional", name)
+        true = of.drive.proportional[j]
+        assert gain.std_error is not None
+        assert gain.value == pytest.approx(true, abs=4.0 * gain.std_error)
+        assert gain.value == pytest.approx(true, rel=3e-3)
 
 
 def test_a_joint_without_gravity_cannot_show_its_compensation() -> None:

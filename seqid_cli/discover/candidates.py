@@ -224,6 +224,8 @@ class Candidate:
 
 # of the largest singular value: what the logs do not show of a change
 OPEN = 1e-9
+# every how many samples are enough for what is low-passed at 24 of them or more
+THINNED = 6
 # candidates times samples that are worked out together: memory
 MOST_COLUMNS = 2_000_000
 
@@ -557,13 +559,13 @@ def likeliest_log(
     products = {number: np.zeros((count, count)) for number in numbers}
     moments = {number: np.zeros(count) for number in numbers}
     for scene, residual in zip(scenes, residuals, strict=True):
-        for j, unfiltered in effect.columns(scene, joint, settings).items():
+        thinned = residual[::THINNED]
+        for j, columns in _thinned_columns(scene, effect, joint, settings).items():
             if sizes[j] == 0.0:
                 continue
-            X = scene.motion.filtered(unfiltered, times=effect.passes)
-            X = np.where(residual[:, [j]] != 0.0, X, 0.0) / sizes[j]
+            X = np.where(thinned[:, [j]] != 0.0, columns, 0.0) / sizes[j]
             products[scene.log] += X.T @ X
-            moments[scene.log] += X.T @ (residual[:, j] / sizes[j])
+            moments[scene.log] += X.T @ (thinned[:, j] / sizes[j])
 
     # What is explained by the columns of a log and all after it. Columns of one size:
     # those of a body are of a kilogram and of a kilogram metre squared.
@@ -579,6 +581,26 @@ def likeliest_log(
         explained[number] = float(b @ inverse @ b)
     first_log = max(numbers, key=lambda number: explained[number])
     return None if first_log == numbers[0] else first_log
+
+
+def _thinned_columns(
+    scene: Scene, effect: Effect, joint: AnyJoint, settings: Settings
+) -> dict[int, Array]:
+    """Return every few of the low-passed columns (N, k) of an effect, by joint.
+
+    They are asked for again whenever the model has grown, and kept with the scene.
+    """
+    of_settings = " ".join(f"{name}={settings[name]}" for name in sorted(settings))
+    key = (f"thinned {effect.name} {of_settings}", -1 if joint is None else joint)
+    if key not in scene.memo:
+        columns = effect.columns(scene, joint, settings)
+        filtered = [
+            scene.motion.filtered(X, times=effect.passes, every=THINNED)
+            for X in columns.values()
+        ]
+        scene.memo[key] = (np.array([*columns]), *filtered)
+    joints, *filtered = scene.memo[key]
+    return dict(zip(joints.tolist(), filtered, strict=True))
 
 
 def _joints_of(effect: Effect, scene: Scene) -> list[int | None]:

@@ -9,11 +9,11 @@ logs span. Otherwise t counts from each log's start and every log has a phase of
 known to be there, but cannot be predicted for another log.
 
 A line is not taken for a disturbance if the motion makes it: if it is missing in some
-of the logs that could show it, if its phase wanders within a log, or if the modelled
-torque has a line there of comparable size.
+of the logs that could show it, if its phase wanders within a log, if the modelled
+torque has a line there of comparable size, or if all motions repeat with it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from seqid_cli.effects.effect import (
     Settings,
 )
 from seqid_cli.effects.law import Law
+from seqid_cli.effects.repetition import repeats_with_motion
 from seqid_cli.effects.scene import Scene, Scenes
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.types import Robot
@@ -38,6 +39,9 @@ from seqid_cli.typing import Array, Complex, Mask
 
 PEAK = 12.0  # power over that of the neighbourhood, below which nothing is looked at
 NEIGHBOURHOOD_HZ = 1.5
+# Of one over the longest log: lines are that far apart, and half a lobe of the window.
+APART_BINS = 4.0
+LOBE_BINS = 2.0
 PIECES = 8  # values that a log is demodulated to
 STEPS = 6.0  # frequencies per one over the span
 MOST_STEPS = 200_000
@@ -72,7 +76,11 @@ class Line(NamedTuple):
 
 
 def strongest_lines(
-    signals: Sequence[Signal], low_hz: float, count: int
+    signals: Sequence[Signal],
+    low_hz: float,
+    count: int,
+    *,
+    is_known: Callable[[float], bool] = lambda _: False,
 ) -> list[float]:
     """Find the frequencies that stand out of the summed power of some logs.
 
@@ -83,11 +91,13 @@ def strongest_lines(
         Lowest frequency [Hz] that is looked at.
     count : int
         Number of frequencies that are returned at most.
+    is_known : callable, optional
+        Of a frequency [Hz]: whether something else makes its line.
 
     Returns
     -------
     list of float
-        Frequencies [Hz], the clearest first.
+        Frequencies [Hz] that are not known, the clearest first.
     """
     longest_s = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
@@ -105,12 +115,19 @@ def strongest_lines(
     least_floor = 1e-12 * max(float(power.max()), 1e-300)
     clearness = power / np.maximum(floor, least_floor)
 
-    # Neighbours of a line that was taken are its own slopes.
+    # Neighbours of a line that was taken, or is known, are its own slopes.
     lines: list[float] = []
+    known: list[float] = []
     for k in np.argsort(-clearness):
         if clearness[k] < PEAK or len(lines) == count:
             break
-        if all(abs(grid[k] - line) > 4.0 / longest_s for line in lines):
+        is_slope = any(abs(grid[k] - line) <= APART_BINS / longest_s for line in lines)
+        is_slope |= any(abs(grid[k] - line) <= LOBE_BINS / longest_s for line in known)
+        if is_slope:
+            continue
+        if is_known(float(grid[k])):
+            known.append(float(grid[k]))
+        else:
             lines.append(float(grid[k]))
     return lines
 
@@ -264,7 +281,12 @@ class PeriodicDisturbance(Effect):
         ]
         sliding = signals_of(scenes, joint, residual)
         modelled = signals_of(scenes, joint, [scene.modelled for scene in scenes])
-        for near in strongest_lines(sliding, LOWEST_HZ, LINES):
+
+        def repeats(frequency: float) -> bool:
+            """Return whether all motions repeat with a line."""
+            return all(repeats_with_motion(scene, frequency) for scene in scenes)
+
+        for near in strongest_lines(sliding, LOWEST_HZ, LINES, is_known=repeats):
             signals = signals_of(scenes, joint, residual, near)
             clocks = n_clocks
             line = refined(signals, near) if on_one_clock else _by_log(signals, near)
@@ -280,7 +302,10 @@ class PeriodicDisturbance(Effect):
             of_logs = _amplitudes(told, line.frequency)
             is_in_all = bool(of_logs.min() >= SAME * np.median(of_logs))
             is_steady = line.coherence >= COHERENT and is_in_all
-            if is_steady and not _is_of_motion(line.frequency, sliding, modelled):
+            if is_steady and not (
+                _is_of_motion(line.frequency, sliding, modelled)
+                or repeats(line.frequency)
+            ):
                 yield {"frequency": line.frequency, "clocks": clocks, "span": span}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:

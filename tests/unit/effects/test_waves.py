@@ -11,6 +11,7 @@ import pytest
 from seqid_cli.effects.effect import Settings
 from seqid_cli.effects.periodic_disturbance import Signal, strongest_lines
 from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.repetition import joint_period_s
 from seqid_cli.effects.scene import Scene
 from seqid_cli.effects.torque_ripple import LAWS, TorqueRipple
 from tests import Array
@@ -288,3 +289,51 @@ def test_harmonics_of_the_motion_are_no_disturbance() -> None:
     missing = [noise_like(s, s.log, 0.01) + 0.1 * s.modelled for s in scenes]
     assert strongest_lines([Signal(m[:, 0], RATE_HZ) for m in missing], 1.0, 3)
     assert list(EFFECT.grid(scenes, 0, missing)) == []
+
+
+PERIOD_S = 5.0
+
+
+def excited(seed: int, *, periods: float = 8.0) -> Scene:
+    """Periodic excitation as identification asks for it, faded in and out."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(periods * PERIOD_S * RATE_HZ)) / RATE_HZ
+    harmonics = np.arange(1, 5)
+    phase = rng.uniform(0.0, 2.0 * np.pi, size=(2, 4))
+    waves = np.cos(2.0 * np.pi * harmonics / PERIOD_S * t[:, None, None] + phase)
+    fade = np.clip(np.minimum(t, t[-1] - t), 0.0, 1.0)
+    q = 0.2 * fade[:, None] * waves.sum(axis=2)
+    scene = scene_of(q, log=seed, start=100.0 * seed, shared_clock=True)
+    return replace(scene, encoder=q)
+
+
+def reversing(scene: Scene, residual: Array) -> Array:
+    """Add what a law of the joint that is missing makes: it jumps at each reversal."""
+    return residual + 10.0 * np.tanh(scene.motion.dq / 0.02)
+
+
+def test_what_repeats_with_the_motion_is_no_disturbance() -> None:
+    """Lines far above the harmonics of the motion, larger than those of the model."""
+    scenes = [excited(seed) for seed in range(2)]
+    missing = [reversing(s, noise_like(s, s.log, 0.01)) for s in scenes]
+    assert strongest_lines([Signal(m[:, 0], RATE_HZ) for m in missing], 1.0, 3)
+    assert list(EFFECT.grid(scenes, 0, missing)) == []
+
+
+def test_a_line_between_the_multiples_is_found_beside_them() -> None:
+    scenes = [excited(seed) for seed in range(2)]
+    frequency = 62.3 / PERIOD_S
+    torque = [reversing(s, line(s, frequency)) for s in scenes]
+    (settings,) = EFFECT.grid(scenes, 0, torque)
+    assert settings["frequency"] == pytest.approx(frequency, abs=1e-3)
+
+
+def test_the_period_of_a_motion() -> None:
+    scene = excited(0)
+    for joint in range(2):
+        assert joint_period_s(scene, joint) == pytest.approx(PERIOD_S, abs=2e-3)
+    assert not np.isfinite(joint_period_s(scene_of(wander(20.0)), 0))
+    too_short = excited(0, periods=1.8)
+    assert not np.isfinite(joint_period_s(too_short, 0))
+    still = scene_of(wander(20.0, still=[0]))
+    assert not np.isfinite(joint_period_s(still, 0))

@@ -202,13 +202,27 @@ def _spectrum(profile: Profile, lowest: float) -> _Spectrum:
     if len(power) == 0:
         return _Spectrum(orders, power, power)
 
-    # The level of their surroundings: medians of windows, joined by lines.
-    n_windows = len(power) // min(FLOOR_WINDOW, len(power))
-    windows = np.array_split(np.arange(len(power)), n_windows)
-    middles = [window.mean() for window in windows]
-    levels = [np.median(power[window]) for window in windows]
-    floor = np.interp(np.arange(len(power)), middles, levels)
+    floor = _surroundings(power)
     return _Spectrum(orders, power, power / np.maximum(floor, 1e-300))
+
+
+def _surroundings(power: Array) -> Array:
+    """Return the level (F,) round each value of a spectrum (F,).
+
+    Medians of windows, joined by lines. Windows of one length are taken together: one
+    by one, their calls cost more than the Fourier transform.
+    """
+    count = len(power) // min(FLOOR_WINDOW, len(power))
+    size, n_longer = divmod(len(power), count)
+    in_longer = n_longer * (size + 1)
+    longer = power[:in_longer].reshape(n_longer, size + 1)
+    shorter = power[in_longer:].reshape(count - n_longer, size)
+    levels = np.concatenate([np.median(longer, axis=1), np.median(shorter, axis=1)])
+
+    ends = np.cumsum(np.repeat([size + 1, size], [n_longer, count - n_longer]))
+    starts = np.concatenate([[0], ends[:-1]])
+    middles = 0.5 * (starts + ends - 1)
+    return np.interp(np.arange(len(power)), middles, levels)
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:

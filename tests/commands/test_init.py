@@ -110,6 +110,7 @@ def test_the_file_holds_what_log_and_urdf_say(start: Start) -> None:
     assert start.document["gravity"] == [0.0, 0.0, -9.81]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "form", ["{name}.", "axis{index}_", "axis{index}.", "arm_{name}_link."]
 )
@@ -162,6 +163,7 @@ def test_mimic_and_fixed_joints_and_other_branches_are_left_out(start: Start) ->
     assert "lacks, locked at zero: left" in start.file.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -194,6 +196,7 @@ NO_USE = {  # URDFs
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [np.pi / 2, 0.7])
 def test_gravity_is_written_as_the_logs_tell_it(start: Start, turn: float) -> None:
     """The base frame of the URDF is turned about x: by a quarter, as of a wall, or
@@ -240,6 +243,7 @@ def test_imus_and_the_meaning_of_effort_are_left_to_be_said(rig: Rig) -> None:
     assert tomllib.loads(text)["schema"] == "seqid/robot@1"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [rosbag1, rosbag2_sqlite, rosbag2_mcap])
 def test_a_bag_needs_no_names_of_columns(start: Start, write: Write) -> None:
     t = np.arange(0.0, 2.0, 0.01)
@@ -345,6 +349,7 @@ def test_the_log_that_is_named_first_says_which_imus_there_are(start: Start) -> 
     assert "to do: where IMU imu_a rides, and its layout" in said
 
 
+@pytest.mark.slow
 def test_a_gripper_on_the_same_topic_is_left_out(start: Start) -> None:
     columns = read_columns(LOG)
     t = columns["t"]
@@ -381,6 +386,7 @@ def bag(start: Start, *topics: str, names: Mapping[str, str] = {}) -> None:
     write_messages(start.rig.folder / "log.mcap", messages, encoding="cdr")
 
 
+@pytest.mark.slow
 def test_a_namespaced_topic_is_written_and_to_be_checked(start: Start) -> None:
     bag(start, "/arm/cmd_joint_states", "/right/joint_states", "/left/joint_states")
     said = start.init("log.mcap", *WORDS)
@@ -390,6 +396,7 @@ def test_a_namespaced_topic_is_written_and_to_be_checked(start: Start) -> None:
     read_recording(start.rig.folder / "log.mcap", load_robot(start.file))
 
 
+@pytest.mark.slow
 def test_a_prefix_in_the_log_is_written(start: Start) -> None:
     names = {joint: f"UR2024_{joint}" for joint in SIX}
     bag(start, "/joint_states", names=names)
@@ -457,6 +464,7 @@ def lerobot(start: Start, factor: float, *kinds: str) -> None:
     pq.write_table(pa.table(table), folder / "data" / "file-000.parquet")
 
 
+@pytest.mark.slow
 def test_degrees_of_a_state_with_speeds_are_told_by_the_limits(start: Start) -> None:
     start.urdf("(?s)<inertial.*?</inertial>", "")  # nor do masses tell it
     lerobot(start, np.degrees(1.0), "pos", "vel", "torque")
@@ -470,6 +478,7 @@ def test_degrees_of_a_state_with_speeds_are_told_by_the_limits(start: Start) -> 
     np.testing.assert_allclose(recording.q[:, 0], expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_percent_and_degrees_are_asked_for_where_nothing_tells(start: Start) -> None:
     lerobot(start, 100.0 / np.pi, "pos")
     said = start.init("set", *WORDS)
@@ -529,6 +538,7 @@ def test_the_urdf_of_a_bag_is_taken_and_written(start: Start) -> None:
     assert load_robot(start.file).joint_names == SIX
 
 
+@pytest.mark.slow
 def test_another_urdf_is_kept_unless_forced(start: Start) -> None:
     described(start.rig.folder, {"/robot_description": URDF.read_text()})
     (start.rig.folder / "new.urdf").write_text("<robot name='mine'/>")
@@ -539,6 +549,7 @@ def test_another_urdf_is_kept_unless_forced(start: Start) -> None:
     assert (start.rig.folder / "new.urdf").read_text() == URDF.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "why"),
     [

@@ -126,6 +126,7 @@ def spike(values: np.ndarray) -> None:
     values[len(values) // 2] += 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change", "code"),
     [

@@ -361,6 +361,7 @@ def run_in(
     assert not why, said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
     [

@@ -142,6 +142,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Target]:
     return {target.name: target for target in targets(tmp_path_factory.mktemp("sound"))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_was_found_is_answered(
     path: Path, made: Mapping[str, Target], tmp_path: Path

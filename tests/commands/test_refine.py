@@ -396,6 +396,7 @@ def real(rig: Rig) -> Rig:
     return rig
 
 
+@pytest.mark.slow
 def test_held_out_logs_are_read_after_the_last_decision(
     real: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:

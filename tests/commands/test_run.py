@@ -166,6 +166,7 @@ ON_VALIDATION = ["predict", "diagnose", "refine", "report"]
 ALL_STEPS = ["friction", "gravity", "imu-calib", "inertia", *ON_VALIDATION]
 
 
+@pytest.mark.slow
 def test_a_result_is_kept_while_content_options_and_version_are_the_same(
     copied: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +240,7 @@ def rewrite_verdicts(out: Path, level: str) -> None:
     (out / ".run.json").write_text(json.dumps(record))
 
 
+@pytest.mark.slow
 def test_it_ends_with_the_worst_verdict(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -266,6 +268,7 @@ def test_it_ends_with_the_worst_verdict(
         assert level == "good" or f"predict: {level}: joint_1: leaves 4 %" in shown.err
 
 
+@pytest.mark.slow
 def test_an_unsorted_folder_is_sorted_and_some_logs_are_held_out(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -313,6 +316,7 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
         assert made == {"friction.json", ".run.json"}
 
 
+@pytest.mark.slow
 def test_a_robot_file_is_made_of_a_urdf_and_then_kept(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

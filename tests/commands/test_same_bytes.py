@@ -58,6 +58,7 @@ def made(lab: Rig) -> dict[str, bytes]:
     return found | {path.name: path.read_bytes() for path in out.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_command_that_runs_again_writes_the_same_bytes(lab: Rig) -> None:
     first = made(lab)
     time.sleep(1.1)  # `created` counts seconds

@@ -60,6 +60,7 @@ def test_imu_calibration_names_an_imu_that_is_too_slow(rig: Rig, kept: int) -> N
     assert "imu_a" in done.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["position", "current"])
 def test_a_channel_that_is_mostly_missing_makes_no_good_model(
     rig: Rig, channel: str

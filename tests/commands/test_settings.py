@@ -69,6 +69,7 @@ def test_settings_without_a_stage_stand_in_the_document(rig: Rig, command: str) 
     assert document["settings"]["changed"] == {name: float(value)}
 
 
+@pytest.mark.slow
 def test_settings_decide_and_stand_in_the_result(rig: Rig) -> None:
     logs = (str(ONE_JOINT / "friction"), "-r", str(ONE_JOINT / "robot.toml"))
     orders = ("--position-order", "2", "--velocity-order", "3")
@@ -110,6 +111,7 @@ def test_a_run_has_the_settings_of_its_steps() -> None:
             )
 
 
+@pytest.mark.slow
 def test_a_run_passes_settings_on_to_the_steps_that_have_them(rig: Rig) -> None:
     given = ["judging.clear_sigma=3", "surface.max_error=0.001"]
     both = ["--set", given[0], "--set", given[1]]

@@ -264,6 +264,7 @@ def test_processes_change_no_bit(rig: Rig) -> None:
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_logs_that_fail_stop_a_command_or_are_left_out(jobs: str, rig: Rig) -> None:
     """A good log and its copy, one without torque, one that is cut short."""

@@ -41,6 +41,7 @@ def ran(*arguments: str | bytes, **more: object) -> tuple[int, str, str]:
     return process.returncode, (out or b"").decode(), (err or b"").decode()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [("inspect", str(GRAVITY)), ("completion", "bash"), ("--help",), ("--version",)],

@@ -250,6 +250,7 @@ def test_a_coloured_table_is_the_plain_one_but_for_its_colours() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [

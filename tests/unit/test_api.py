@@ -106,6 +106,7 @@ def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
     assert compare.compare(gravity, gravity).changed == 0
 
 
+@pytest.mark.slow
 def test_a_table_is_a_log(friction: ParameterFile) -> None:
     """An Arrow table, or whatever gives itself away as one,
     goes wherever a path does.
@@ -130,6 +131,7 @@ def test_a_table_is_a_log(friction: ParameterFile) -> None:
         identify.friction(3, ROBOT)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_tables_are_inspected_predicted_and_diagnosed() -> None:
     path, *_ = sorted((SAMPLES / "validation").glob("*.parquet"))
     table = pq.read_table(path)
@@ -278,6 +280,7 @@ def test_documents_are_tables() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_log_is_a_table_and_back() -> None:
     """The table of a log is a log itself, and so is a dictionary of its arrays."""
     (path,) = (SAMPLES / "friction").glob("*.parquet")

@@ -1108,9 +1108,13 @@ def _slices(sizes: Iterable[int]) -> list[slice]:
 
 
 def _weighted(weight: Array, columns: Sequence[Array]) -> Array:
-    """Return columns (M, k) each, side by side and times a weight (M,)."""
+    """Return columns (M, k) each, side by side and times a weight (M,).
+
+    One column after the other in memory: groups have a few columns each, and a product
+    along the rows of such a group is slow.
+    """
     sizes = [group.shape[1] for group in columns]
-    result = np.empty((len(weight), sum(sizes)))
+    result = np.empty((sum(sizes), len(weight)))
     for group, at in zip(columns, _slices(sizes), strict=True):
-        np.multiply(group, weight[:, None], out=result[:, at])
-    return result
+        np.multiply(group.T, weight, out=result[at])
+    return result.T

@@ -71,6 +71,7 @@ def sample_arm(sample: str, joint: str) -> SampleArm:
     return SampleArm(robot, logs, stages_of(*logs, robot))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
     name: str,
@@ -117,6 +118,7 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
     assert np.linalg.norm(columns @ said - found) < bound
 
 
+@pytest.mark.slow
 def test_a_skew_is_in_the_delay_of_the_stage() -> None:
     """Torque that comes late is no friction: the drive's delay takes it."""
     seconds = 0.005

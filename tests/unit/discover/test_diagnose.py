@@ -90,14 +90,26 @@ def given(*effects: tuple[str, int, float]) -> Given:
 
 
 @cache
+def told(*effects: tuple[str, int, float]) -> tuple[DiagnosisFile, Investigation]:
+    """What `diagnose` says, and what it has found before it says it."""
+    kept: list[Investigation] = []
+
+    def keeping(*given: object) -> Investigation:
+        kept.append(investigate(*given))  # type: ignore[arg-type]
+        return kept[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("seqid_cli.discover.diagnosis.investigate", keeping)
+        found = given(*effects).diagnosed()
+    return found, kept[-1]
+
+
 def diagnosis(*effects: tuple[str, int, float]) -> DiagnosisFile:
-    return given(*effects).diagnosed()
+    return told(*effects)[0]
 
 
-@cache
 def investigated(*effects: tuple[str, int, float]) -> Investigation:
-    case = given(*effects)
-    return investigate(case.logs, case.robot, case.stages, OPTIONS)
+    return told(*effects)[1]
 
 
 def only(found: DiagnosisFile) -> tuple[FindingEntry, EvidenceEntry]:

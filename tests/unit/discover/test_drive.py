@@ -70,6 +70,7 @@ def test_what_acts_on_the_link_is_not_in_them() -> None:
     assert np.sqrt(np.mean(whole**2)) > 10.0 * np.sqrt(np.mean(hung**2))
 
 
+@pytest.mark.slow
 def test_a_loss_is_sharp_beside_a_link_that_the_model_does_not_know() -> None:
     value, error = loss_of(sensed(1.0, LOSS))
     _, without = loss_of(sensed(1.0, LOSS, sensor=False))

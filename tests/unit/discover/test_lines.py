@@ -42,6 +42,7 @@ def told(scenes: list[Scene]) -> tuple[set[str], list[FindingEntry]]:
     return {each.term.name for each in result.terms}, lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hertz", [14.6, 80.0])
 def test_a_line_that_takes_little_of_all_that_is_left_is_told(hertz: float) -> None:
     names, lines = told(arm_scenes(line(hertz, 0.1)))
@@ -55,6 +56,7 @@ def test_a_line_that_takes_little_of_all_that_is_left_is_told(hertz: float) -> N
     assert found.log_gain > 200.0
 
 
+@pytest.mark.slow
 def test_nothing_but_a_line_is_one() -> None:
     for extra in (None, stribeck(0.3), line(80.0, 0.02)):
         assert told(arm_scenes(extra))[1] == []

@@ -169,6 +169,7 @@ def without_second_joint() -> DriveFile:
     return by_rows(two_joints(), of=drawn_arm(2, 2))
 
 
+@pytest.mark.slow
 def test_a_joint_without_a_command_is_left_out_and_moves_as_measured() -> None:
     of = drawn_arm(2, 2)
     file = without_second_joint()

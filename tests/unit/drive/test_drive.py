@@ -20,6 +20,8 @@ from seqid_cli.params.schema import ParameterFile, Stages
 from tests import Array
 from tests.plants.driven import DrivenArm, drawn_arm, multisine, simulate_drive
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 12.0
 
 
@@ -263,7 +265,6 @@ def test_the_file_is_read_again_as_it_was_written(tmp_path: Path) -> None:
     assert encode(again) == encode(file) == path.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_delays_of_joints_are_one_where_they_are() -> None:
     drawn = drawn_arm(8, 2).with_drive(command_delay=0.021)
     log = simulate_drive(drawn, multisine(8, 2, SECONDS), SECONDS, seed=8)

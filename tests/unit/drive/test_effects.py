@@ -166,6 +166,7 @@ def replayed(log: Recording, effects: list[EffectOfJoint]) -> ReplayFile:
     return drives.replay([log], soft_arm().robot, true_drive(stages))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_replay_with_the_effect_is_closer_than_without(name: str) -> None:
     entry, _ = EFFECTS[name]
@@ -178,6 +179,7 @@ def test_a_replay_with_the_effect_is_closer_than_without(name: str) -> None:
     assert with_effect < 5e-4
 
 
+@pytest.mark.slow
 def test_a_torque_constant_is_put_right_before_the_comparison() -> None:
     true = recorded(None)
     assert true.tau is not None

@@ -62,6 +62,7 @@ def read_again(file: DriveFile) -> DriveFile:
     return msgspec.json.decode(encode(file), type=DriveFile)
 
 
+@pytest.mark.slow
 def test_a_held_out_log_is_followed_as_by_the_true_gains() -> None:
     position = replayed().joints["joint_1"].position
     true = drives.replay([held_out()], arm().robot, with_true_gains(fitted(), arm()))
@@ -183,6 +184,7 @@ def test_a_joint_that_friction_holds_stays_where_it_is() -> None:
     assert (pushed.run(q0, rest, rest, asked, 1e-3).q[-1] > q0 + 1e-3).all()
 
 
+@pytest.mark.slow
 def test_half_the_step_moves_a_replay_by_little(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -166,6 +166,7 @@ def assert_ratios_are_right(file: DriveFile) -> None:
     assert gain.value / (armature + links) == pytest.approx(true, rel=0.05)
 
 
+@pytest.mark.slow
 def test_without_a_model_the_urdf_stands_for_it() -> None:
     # A controller that compensates gravity hides the only scale.
     plain = arm().with_drive(
@@ -190,6 +191,7 @@ def test_without_a_model_the_urdf_stands_for_it() -> None:
     assert replayed.position.rms < 0.1 * replayed.start_plus_change.rms
 
 
+@pytest.mark.slow
 def test_compensated_gravity_shows_no_scale() -> None:
     file = drives.drive([recorded(with_torque=False)], urdf_robot())
     assert file.verdicts[0].level == "usable"
@@ -201,6 +203,7 @@ def test_a_robot_without_masses_needs_a_model() -> None:
         drives.drive([recorded()], arm().robot)
 
 
+@pytest.mark.slow
 def test_a_measured_torque_tells_the_gains() -> None:
     by_rows = drives.drive(
         [recorded()],

@@ -122,6 +122,7 @@ def floor() -> Array:
 LAG = 0.5 / FINE_HZ  # s: a lagging torque is held over a fine sample
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "joint", "distortion", "c", "off"),
     [

@@ -164,6 +164,7 @@ LAWS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", LAWS, ids=lambda case: f"{case[0].name} {case[5]}")
 def test_the_law_comes_back(
     case: tuple[Effect, int, Law, int, float, float, float, Any],
@@ -289,6 +290,7 @@ class RopeOfSharpness(Hysteresis):
         return {**super().axes(scenes, joint), "sharpness": [float(self.n)]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2])
 def test_a_rope_comes_back(n: int) -> None:
     """Its torque, its way, and which of the laws it has."""

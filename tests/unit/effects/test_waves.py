@@ -72,6 +72,7 @@ def best_of(
     return best, c
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", range(len(LAWS)), ids=LAWS)
 @pytest.mark.parametrize(
     ("order", "gear"), [(2.0, GEAR[1]), (6.0, GEAR[1]), (13.7, 1.0)]

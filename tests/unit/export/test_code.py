@@ -78,6 +78,7 @@ def numpy_observed(module: ModuleType, rows: Array) -> Array:
     return np.array(found)
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize("rig", ["one_joint", "six_joint"])
 def test_both_observers_are_the_same(tmp_path: Path, rig: str) -> None:

@@ -185,6 +185,7 @@ def test_a_drive_has_no_place_in_other_forms(tmp_path: Path, robot_file: Path) -
         export(path, robot_file, tmp_path / "arm.h")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", READERS)
 def test_what_a_form_says_moves_as_the_replay(
     tmp_path: Path, robot_file: Path, form: str

@@ -29,6 +29,7 @@ def test_every_effect_has_a_place(arm: str) -> None:
     assert without == ({"transmission_coupling"} if arm == "one_joint" else set())
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize("subject", REMEMBERING)
 def test_exported_code_is_as_good_as_its_file(subject: str) -> None:

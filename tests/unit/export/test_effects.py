@@ -120,6 +120,7 @@ def test_every_effect_of_the_catalogue_has_a_case() -> None:
     assert set(CASES) == set(CATALOGUE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "one"), catalogue_cases(), ids=lambda x: x if isinstance(x, str) else ""
 )
@@ -134,6 +135,7 @@ def test_exported_effects_are_those_of_predict(
     plain.check_both_forms([item])
 
 
+@pytest.mark.slow
 def test_friction_that_the_file_found_is_in_the_torque(plain: Plain) -> None:
     """Stribeck and load-dependent friction: what left effects out missed all of it."""
     items = [
@@ -179,6 +181,7 @@ def test_all_effects_at_once_are_their_sum(plain: Plain) -> None:
     plain.check_both_forms(items)
 
 
+@pytest.mark.slow
 def test_effects_of_an_arm_with_coupled_rotors_and_slides(tmp_path: Path) -> None:
     """Deviations of links and encoders where rotors turn the links that carry them."""
     robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
@@ -202,6 +205,7 @@ def test_effects_of_an_arm_with_coupled_rotors_and_slides(tmp_path: Path) -> Non
     arm_of_slides.check_both_forms(items)
 
 
+@pytest.mark.slow
 def test_formulas_of_a_robot_file_are_written_out(plain: Plain) -> None:
     text = (
         "c7*(-v*q)**2 + c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2"
@@ -230,6 +234,7 @@ SMOOTH = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_terms_of_no_known_cause_are_written_out(
     plain: Plain, name: str

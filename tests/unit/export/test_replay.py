@@ -70,6 +70,7 @@ def errors(path: Path, kind: str, full: FullModel, logs: Sequence[Path]) -> Arra
     return np.array([joint.export_rmse or 0.0 for joint in found.values()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMS)
 def test_what_was_written_is_as_good_as_it_states(dragged: Logged, kind: str) -> None:
     file = exported(dragged, kind)
@@ -83,6 +84,7 @@ def test_what_was_written_is_as_good_as_it_states(dragged: Logged, kind: str) ->
             assert joint.export_rmse == pytest.approx(joint.file_rmse, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", REDUCED)
 def test_the_stated_loss_is_right_on_the_held_out_log(
     dragged: Logged, kind: str
@@ -93,6 +95,7 @@ def test_the_stated_loss_is_right_on_the_held_out_log(
     assert file.loss["joint_1"] == pytest.approx(lost, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", REDUCED)
 def test_the_stated_loss_is_right_on_a_log_that_is_asked_for(
     dragged: Logged, kind: str
@@ -224,6 +227,7 @@ SPOILT: dict[str, Callable[[str], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMS)
 def test_a_file_that_is_spoilt_by_hand_is_found(dragged: Logged, kind: str) -> None:
     file = exported(dragged, kind)

@@ -65,6 +65,7 @@ def verdicts(stage: str, logs: Sequence[Path]) -> Sequence[Any]:
     return getattr(run(logs, ROBOT, parameters=GOLDEN).stages, stage).verdicts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("stage", FOLDERS)
 def test_the_stage_says_it(stage: str, fault: str, tmp_path: Path) -> None:
@@ -83,6 +84,7 @@ def test_the_stage_says_it(stage: str, fault: str, tmp_path: Path) -> None:
         assert any("joint_1" in f"{v.joint}: {v.reason}" for v in poor)
 
 
+@pytest.mark.slow
 def test_a_spike_does_not_spoil_the_prediction(tmp_path: Path) -> None:
     """One damaged sample used to make the error seven times as large."""
     logs = [list(planted(fault, "validation", tmp_path)) for fault in ("none", "spike")]

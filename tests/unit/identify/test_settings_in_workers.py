@@ -3,6 +3,7 @@
 from concurrent.futures import Executor
 
 import msgspec
+import pytest
 
 from seqid_cli import identify
 from seqid_cli.identify.settings import ImuCalibSettings, MountingSettings
@@ -26,6 +27,7 @@ def mounted(settings: ImuCalibSettings, executor: Executor | None) -> ImuStage:
     return stage
 
 
+@pytest.mark.slow
 def test_a_cut_off_that_is_set_is_that_of_all_processes() -> None:
     here = mounted(LOWER, None)
     with processes(2) as executor:

@@ -111,6 +111,7 @@ def test_searches_for_causes_work_out_no_inverse(
     assert 0.5 < structural_error(sample) < 1.0
 
 
+@pytest.mark.slow
 def test_torques_of_the_other_sign_have_one_remedy(tmp_path: Path) -> None:
     """Sensors without friction show it by their weights alone."""
     folder = SAMPLES / "six_joint"

@@ -103,6 +103,7 @@ def sound_mounting(folder: Path) -> Rotation:
     return calibrated(written(folder, "sound"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "code"),
     [("10 Hz", "imu_slow"), ("without gravity", "imu_without_gravity")],

@@ -60,6 +60,7 @@ def test_a_zero_is_told_by_the_equations_of_all_joints_without_inertials(
     assert found == ([("position_zero", "shoulder_lift")] if expected else [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "code"), [(1.0, ""), (40.0, "effort_limits")])
 def test_torques_beyond_all_limits_have_another_unit(
     factor: float, code: str, tmp_path: Path
@@ -71,6 +72,7 @@ def test_torques_beyond_all_limits_have_another_unit(
     assert {each for each, _ in found} == ({code} if code else set())
 
 
+@pytest.mark.slow
 def test_whoever_has_no_inertials_is_asked_for_the_unit_of_the_current(
     tmp_path: Path,
 ) -> None:

@@ -39,6 +39,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", PLANTED)
 def test_stages_hear_what_inspect_calls_an_error(
     robot: Robot, tmp_path: Path, told: str

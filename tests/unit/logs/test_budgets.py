@@ -67,6 +67,7 @@ CHANNELS = b"".join(map(channel, range(1 << 16)))
 TURNS = b"".join(record(5, struct.pack("<HIQQ", n, 0, 0, 0)) for n in range(1 << 16))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "raws",
     [

@@ -59,6 +59,7 @@ def check_arrays(recording: Recording, data: Data, label: str) -> None:
     assert (recording.partial, recording.health.gaps) == ("", ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("label", [*EXACT, *FLOAT32])
 @pytest.mark.parametrize(
     ("folder", "name", "every"),

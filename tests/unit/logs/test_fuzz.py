@@ -18,6 +18,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     return sound_logs(tmp_path_factory.mktemp("sound"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
     [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 10))],

@@ -54,6 +54,7 @@ def test_a_part_is_what_the_log_has_there(tmp_path: Path, suffix: str) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", ["@{}", "{}", "2023-11-14T22:13:{:02.0f}Z"])
 def test_stamps_and_seconds_say_the_same(tmp_path: Path, clock: str) -> None:
     path = write_motion(tmp_path / "log.mcap", MOTION)

@@ -42,6 +42,7 @@ def limited(limits: Limits, prismatic: bool = False) -> Robot:
     return replace(robot(ONE), joints=(joint,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])
 @pytest.mark.parametrize("limits", LIMITS)
 def test_wraps_run_on_within_the_limits(

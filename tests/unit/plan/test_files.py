@@ -39,6 +39,7 @@ def planned_files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanF
     return folder, msgspec.structs.replace(moves, moves=[*moves.moves, sweeps.moves[2]])
 
 
+@pytest.mark.slow
 def test_yaml_holds_the_slowed_move(planned_files: tuple[Path, PlanFile]) -> None:
     folder, file = planned_files
     move = file.moves[0]

@@ -81,6 +81,7 @@ def test_heights_are_those_of_the_lowest_ball(pole: Robot) -> None:
             assert along[:, k] == pytest.approx(floor.height(moved), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["friction", "gravity", "inertia", "validation"])
 def test_no_planned_move_goes_below_the_base(pole: Robot, what: str) -> None:
     planned = plan(what, pole, options=OPTIONS)  # type: ignore[arg-type]

@@ -82,6 +82,7 @@ def test_both_conditions_come_near_the_best_of_a_long_search(
     assert scaled < 1.1 * search.least(scaled=True, starts=2, seed=0)
 
 
+@pytest.mark.slow
 def test_joints_that_gravity_loads_by_rounding_alone_get_no_sweeps(
     belief: Belief, planned: Planned
 ) -> None:
@@ -106,6 +107,7 @@ def narrowed(
     return msgspec.structs.replace(stage, joints={**stage.joints, joint: surface})
 
 
+@pytest.mark.slow
 def test_sweeps_keep_to_the_friction_that_is_given() -> None:
     robot = sample_robot("six_joint")
     stages = Stages(friction=narrowed(friction_stage(robot), "elbow", -0.8, 0.9))
@@ -127,6 +129,7 @@ def test_sweeps_keep_to_the_friction_that_is_given() -> None:
     assert any("more range would pay" in note for note in planned.gravity.stage.notes)
 
 
+@pytest.mark.slow
 def test_a_joint_without_friction_gets_trials_and_no_sweeps() -> None:
     robot = sample_robot("six_joint")
     stage = friction_stage(robot)
@@ -151,6 +154,7 @@ def test_planned_friction_covers_what_gravity_sweeps(planned: Planned) -> None:
         assert abs(stroke.end - stroke.start) > 2.0 * ramp
 
 
+@pytest.mark.slow
 def test_an_unknown_offset_bounds_what_a_plan_promises(belief: Belief) -> None:
     """However little noise there is, offset and asymmetry are not told from gravity for
     ever.

@@ -33,6 +33,7 @@ def assert_within_limits(belief: Belief, move: PlannedMove) -> None:
     assert np.abs(np.gradient(q, t, axis=0) - dq).max() < 0.05 * limits.speed.max()
 
 
+@pytest.mark.slow
 def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) -> None:
     planned = plan_friction(belief, OPTIONS)
     assert [move.joints[0] for move in planned.moves] == list(belief.robot.joint_names)

@@ -236,6 +236,7 @@ def test_all_is_there_without_a_script(tab: Tab, page: Path) -> None:
     assert tab.run("document.querySelectorAll('figure svg .ticks-x text').length") > 20
 
 
+@pytest.mark.slow
 def test_the_policy_stops_what_got_in(tab: Tab, tmp_path: Path) -> None:
     html = make_report(good_documents()).html
     inside = (
@@ -249,6 +250,7 @@ def test_the_policy_stops_what_got_in(tab: Tab, tmp_path: Path) -> None:
     assert len(tab.complaints) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 def test_long_names_do_not_widen_the_page(tab: Tab, tmp_path: Path, width: int) -> None:
     name = "joint_" + 150 * "x"

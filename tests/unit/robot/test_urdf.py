@@ -186,6 +186,7 @@ def _chain_of(count: int) -> str:
     return urdf(*links, *joints)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "message"),
     [

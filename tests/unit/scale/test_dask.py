@@ -55,6 +55,7 @@ def logs(tmp_path: Path) -> list[str]:
     return [str(name) for name in names]
 
 
+@pytest.mark.slow
 def test_the_cluster_changes_no_bit_and_no_order(
     scheduler: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

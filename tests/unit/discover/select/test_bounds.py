@@ -88,6 +88,7 @@ def driving_alone(size: float) -> Callable[[Scene], Array]:
     return torque
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "driven"), [(0, 0.0), (1, 0.0), (2, -0.001)])
 def test_losses_only_when_driving_have_their_name(seed: int, driven: float) -> None:
     """The estimate of the other loss lies below zero in half of all logs."""

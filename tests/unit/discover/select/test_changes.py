@@ -82,6 +82,7 @@ def from_the_second_log(torque: Extra) -> Extra:
 CHANGES = ("friction_change", "torque_constant", "torque_bias", "payload")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "torque"),
     [

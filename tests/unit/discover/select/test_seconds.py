@@ -39,6 +39,7 @@ def heavier(scene: Scene) -> Array:
     return losses(scene) + MOMENT * np.asarray(H[:, 0, number])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("torque", "names"),
     [(sprung, {"load_dependent_friction", "spring"}), (heavier, {EFFECTS[0]})],

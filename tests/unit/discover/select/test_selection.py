@@ -138,6 +138,7 @@ def gain_and_losses(scene: Scene) -> Array:
     return np.asarray(0.3 * scene.modelled[:, 0] + lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moves_apart", "options", "told"),
     [
@@ -176,6 +177,7 @@ def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
     assert told.file_gain > 10.0 * max(float(told.block_gains.sum()), 1.0)
 
 
+@pytest.mark.slow
 def test_minus_a_body_is_no_payload() -> None:
     """Whatever else it is: the arm would have to lose mass that it may not have."""
     scenes = arm_scenes(lambda scene: -payload(scene))
@@ -183,6 +185,7 @@ def test_minus_a_body_is_no_payload() -> None:
     assert ("payload", None) not in keys(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [0, 1])
 def test_a_coupled_pair_is_named_once(drive: int) -> None:
     """Whichever joint's drive it is: the two have the same columns."""
@@ -235,6 +238,7 @@ def stamped_late(scene: Scene) -> Array:
     return np.asarray(np.stack(late, axis=1) - scene.modelled)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extra", "name"), [(lagging, "actuator_lag"), (stamped_late, "time_skew")]
 )

@@ -81,6 +81,7 @@ def test_an_axis_of_two_quantities_is_made_once(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("extra", "quantities"), LAWS)
 def test_the_right_quantity_is_named_first(

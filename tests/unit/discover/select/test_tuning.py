@@ -88,6 +88,7 @@ def test_a_resonance_is_met_and_followed_to_its_damping() -> None:
     assert rival.evidence < found.evidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "damping_ratio"), [(0.75, 0.03), (1.4, 0.15)])
 def test_what_size_and_shape_disagree_by_is_an_error(
     times: float, damping_ratio: float

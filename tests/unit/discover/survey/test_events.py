@@ -64,6 +64,7 @@ def test_clean_noise_has_no_event_in_200_runs(many_rows: list[Rows]) -> None:
     assert not any(found(many_rows[k % 4], k) for k in range(200))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("length", "height", "joints"),
     [
@@ -93,6 +94,7 @@ def test_a_push_is_found_where_it_was(
     assert np.median(overlaps) > 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("length", "height", "joints"),
     [(1.5, 8.0, [0, 1]), (3.0, 12.0, [1]), (5.0, 12.0, [0, 1]), (8.0, 20.0, [0])],
@@ -144,6 +146,7 @@ RECURRING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", RECURRING.values(), ids=RECURRING)
 def test_what_recurs_is_no_event(
     many_rows: list[Rows], law: Callable[[Scene], Array]

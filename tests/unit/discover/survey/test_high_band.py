@@ -49,6 +49,7 @@ def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
         assert gained.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_white_noise_has_no_line(seed: int) -> None:
     names = ["periodic_disturbance", "torque_ripple"]

@@ -49,6 +49,7 @@ def rests_within_counts(log: HuntingLog, speed: float) -> float:
     return float(np.mean(np.abs(log.velocity[there]) < 0.05 * speed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("counts", "inertia", "hunts"),
     [

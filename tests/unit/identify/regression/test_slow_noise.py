@@ -32,6 +32,7 @@ def white_variances(noise: Array, weight: Array) -> Array:
     return np.array([np.var(white), np.var(sums)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("common", [0.0, 0.5, 3.0])
 def test_what_is_common_to_a_trial_is_taken_out(common: float) -> None:
     """Of rows that are white, sums have the variance of the rows."""

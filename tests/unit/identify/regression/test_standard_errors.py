@@ -27,6 +27,7 @@ def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> A
     return lfilter([1.0], [1.0, -pole], drive, axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_intervals_hold_the_truth_as_often_as_they_say(pole: float) -> None:
     errors = []

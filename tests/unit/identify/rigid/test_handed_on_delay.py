@@ -27,6 +27,7 @@ def with_waves(log: Recording, share: float) -> Recording:
     return replace(log, tau=tau)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.2], ids=["good", "something is missing"])
 def test_a_file_predicts_its_own_logs_as_its_stage_says(
     two_joint: Rig, share: float

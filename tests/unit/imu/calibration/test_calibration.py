@@ -72,6 +72,7 @@ def test_a_gyro_is_calibrated_with_its_triad() -> None:
     assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
 
 
+@pytest.mark.slow
 def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> None:
     own = scene_of(FINE)
     logs = [
@@ -106,6 +107,7 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
     assert bad[np.abs(clean[:, 2]) < 3.9, 2].mean() < 0.01
 
 
+@pytest.mark.slow
 def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
     """The paper's single joint swings, with rests that are long enough to see
     gravity.
@@ -132,6 +134,7 @@ def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> Non
         calibrate_imus([], robot_of("one", plant), options=MotionOptions())
 
 
+@pytest.mark.slow
 def test_axes_that_an_imu_does_not_see_are_no_pairs() -> None:
     """One of the arm's logs with an IMU that records noise alone: it says nothing of
     axes.

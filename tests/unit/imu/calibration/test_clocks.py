@@ -20,6 +20,7 @@ def calibration() -> ImuCalibration:
     return plants.calibrated(scene_of(DRIFTING), 0).imus["imu_a"]
 
 
+@pytest.mark.slow
 def test_offset_and_rate_are_found_in_every_log(calibration: ImuCalibration) -> None:
     true = offsets(scene_of(DRIFTING), 0)
     assert len(calibration.clocks) == len(true)

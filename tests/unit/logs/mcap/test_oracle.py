@@ -121,6 +121,7 @@ def assert_joints(
 FIXTURE = HealthCheck.function_scoped_fixture
 
 
+@pytest.mark.slow
 @settings(
     max_examples=15, deadline=None, derandomize=True, suppress_health_check=[FIXTURE]
 )

@@ -125,6 +125,7 @@ def test_a_bag_is_read_up_to_a_damaged_page_and_told(tmp_path: Path) -> None:
     assert len(set(n_read)) > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])
 def test_a_chunk_that_unpacks_to_gigabytes_is_refused(
     pack: Callable[[bytes], bytes],

@@ -58,6 +58,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES, ids=range(len(CHANGES)))
 def test_a_database_that_is_no_sound_bag_is_refused(change: str, bag: Path) -> None:
     if change:

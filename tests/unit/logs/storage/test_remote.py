@@ -71,6 +71,7 @@ def test_folders_and_globs_find_the_logs(store: str, end: str) -> None:
     assert [str(path) for path in expand([one], stored=True)] == [one]
 
 
+@pytest.mark.slow
 def test_the_result_is_that_of_local_logs(
     store: str, tmp_path: Path, capsys: Captured
 ) -> None:
@@ -117,6 +118,7 @@ def test_a_long_log_keeps_its_copy(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spooled", [True, False])
 def test_a_long_log_is_predicted_when_its_copy_is_gone(
     spooled: bool, store: str, monkeypatch: Patch, capsys: Captured

@@ -115,6 +115,7 @@ def test_arrow_makes_no_object_for_a_column_before_its_footer_is_read(
     assert raised.value.where == str(path)
 
 
+@pytest.mark.slow
 def test_few_bytes_that_stand_for_many_values_are_refused(tmp_path: Path) -> None:
     sink = io.BytesIO()
     values = pa.array(np.zeros(180_000_000, dtype=np.int8))

@@ -222,7 +222,7 @@ def _surroundings(power: Array) -> Array:
     ends = np.cumsum(np.repeat([size + 1, size], [n_longer, count - n_longer]))
     starts = np.concatenate([[0], ends[:-1]])
     middles = 0.5 * (starts + ends - 1)
-    return np.interp(np.arange(len(power)), middles, levels)
+    return np.asarray(np.interp(np.arange(len(power)), middles, levels))
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:

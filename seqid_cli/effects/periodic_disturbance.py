@@ -19,7 +19,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_dilation, median_filter
 from scipy.signal import periodogram
 
 from seqid_cli.effects.effect import (
@@ -75,12 +75,17 @@ class Line(NamedTuple):
     coherence: float
 
 
+def _nothing_known(frequencies: Array) -> Mask:
+    """Return that nothing else makes lines at frequencies (F,) Hz."""
+    return np.zeros(len(frequencies), dtype=bool)
+
+
 def strongest_lines(
     signals: Sequence[Signal],
     low_hz: float,
     count: int,
     *,
-    is_known: Callable[[float], bool] = lambda _: False,
+    is_known: Callable[[Array], Mask] = _nothing_known,
 ) -> list[float]:
     """Find the frequencies that stand out of the summed power of some logs.
 
@@ -92,7 +97,7 @@ def strongest_lines(
     count : int
         Number of frequencies that are returned at most.
     is_known : callable, optional
-        Of a frequency [Hz]: whether something else makes its line.
+        Of frequencies (F,) Hz: at which of them (F,) something else makes lines.
 
     Returns
     -------
@@ -115,20 +120,16 @@ def strongest_lines(
     least_floor = 1e-12 * max(float(power.max()), 1e-300)
     clearness = power / np.maximum(floor, least_floor)
 
-    # Neighbours of a line that was taken, or is known, are its own slopes.
+    # Neighbours of a line that is known, or was taken, are its own slopes.
+    stands_out = clearness >= PEAK
+    of_others = stands_out & is_known(grid)
+    lobe = round(LOBE_BINS / (longest_s * spacing))
+    stands_out &= ~binary_dilation(of_others, np.ones(2 * lobe + 1, dtype=bool))
     lines: list[float] = []
-    known: list[float] = []
-    for k in np.argsort(-clearness):
-        if clearness[k] < PEAK or len(lines) == count:
-            break
-        is_slope = any(abs(grid[k] - line) <= APART_BINS / longest_s for line in lines)
-        is_slope |= any(abs(grid[k] - line) <= LOBE_BINS / longest_s for line in known)
-        if is_slope:
-            continue
-        if is_known(float(grid[k])):
-            known.append(float(grid[k]))
-        else:
-            lines.append(float(grid[k]))
+    while len(lines) < count and stands_out.any():
+        clearest = int(np.argmax(np.where(stands_out, clearness, 0.0)))
+        lines.append(float(grid[clearest]))
+        stands_out &= np.abs(grid - grid[clearest]) > APART_BINS / longest_s
     return lines
 
 
@@ -284,9 +285,10 @@ class PeriodicDisturbance(Effect):
         sliding = signals_of(scenes, joint, residual)
         modelled = signals_of(scenes, joint, [scene.modelled for scene in scenes])
 
-        def repeats(frequency: float) -> bool:
-            """Return whether all motions repeat with a line."""
-            return all(repeats_with_motion(scene, frequency) for scene in scenes)
+        def repeats(frequencies: Array) -> Mask:
+            """Return with which lines (F,) Hz all motions repeat."""
+            of_logs = [repeats_with_motion(scene, frequencies) for scene in scenes]
+            return np.logical_and.reduce(of_logs)
 
         for near in strongest_lines(sliding, LOWEST_HZ, LINES, is_known=repeats):
             signals = signals_of(scenes, joint, residual, near)
@@ -306,7 +308,7 @@ class PeriodicDisturbance(Effect):
             is_steady = line.coherence >= COHERENT and is_in_all
             if is_steady and not (
                 _is_of_motion(line.frequency, sliding, modelled)
-                or repeats(line.frequency)
+                or repeats(np.array([line.frequency])).any()
             ):
                 yield {"frequency": line.frequency, "clocks": clocks, "span": span}
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.effects.scene import Scene
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 # Mean square of the difference over that of both, from which positions have nothing to
 # do with each other, and below which they are the same. Faded ends and rests are in it.
@@ -22,18 +22,17 @@ NEAR = 0.5
 KNOWN_TO = 2e-4
 
 
-def repeats_with_motion(scene: Scene, frequency_hz: float) -> bool:
-    """Return whether a frequency is a multiple of that of a joint's motion."""
+def repeats_with_motion(scene: Scene, frequencies: Array) -> Mask:
+    """Return which frequencies (F,) Hz are multiples of that of a joint's motion."""
     length_s = scene.samples / scene.motion.rate_hz
+    repeats = np.zeros(len(frequencies), dtype=bool)
     for joint in range(scene.motion.q.shape[1]):
         period_s = joint_period_s(scene, joint)
-        if not np.isfinite(period_s):
-            continue
-        cycles = frequency_hz * period_s
-        near = NEAR * period_s / length_s + KNOWN_TO * cycles
-        if abs(cycles - round(cycles)) < near:
-            return True
-    return False
+        if np.isfinite(period_s):
+            cycles = frequencies * period_s
+            near = NEAR * period_s / length_s + KNOWN_TO * cycles
+            repeats |= np.abs(cycles - np.round(cycles)) < near
+    return repeats
 
 
 def joint_period_s(scene: Scene, joint: int) -> float:

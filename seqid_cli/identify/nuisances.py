@@ -187,7 +187,7 @@ def with_even_part(joint: FrictionJoint, name: str, even: EvenPart) -> FrictionJ
         directional=True,
         positive=(forward + moved[:size].reshape(forward.shape)).tolist(),
         negative=(backward + moved[size:].reshape(forward.shape)).tolist(),
-        covariance=((covariance + covariance.T) / 2.0).tolist(),
+        covariance=_possible(covariance).tolist(),
         term_moves=_of_both_directions(joint),
         nuisances=[
             *(term for term in joint.nuisances if term.name in TERM_UNITS),
@@ -300,9 +300,20 @@ def with_term(
         joint,
         positive=forward.tolist(),
         negative=backward.tolist(),
-        covariance=covariance.tolist(),
+        covariance=_possible(covariance).tolist(),
         nuisances=[term if x.name == name else x for x in joint.nuisances],
     )
+
+
+def _possible(covariance: Array) -> Array:
+    """Return the nearest matrix that is a covariance.
+
+    What a term makes of the entries is taken off as if it were apart from what others
+    make. Where trials hardly told them from each other, more is taken off than there
+    is.
+    """
+    variance, directions = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    return np.asarray((directions * np.maximum(variance, 0.0)) @ directions.T)
 
 
 def with_drive_terms(

@@ -215,17 +215,22 @@ class Selection:
         """Add terms, and after each step remove those that are not needed."""
         refused: set[Key] = set()
         while len(self.model.terms) < self.options.max_terms:
-            term = self._next_term(refused)
-            if term is None:
+            terms = self._next_terms(refused)
+            if not terms:
                 return
-            self._search.changed(term)
-            self.model.terms.append(term)
+            for term in terms:
+                self._search.changed(term)
+                self.model.terms.append(term)
             self.model.settle()
             self.model.polish()
             refused |= self.eliminate()
 
-    def _next_term(self, refused: set[Key]) -> Term | None:
-        """Return the term to take next; None where none is worth it."""
+    def _next_terms(self, refused: set[Key]) -> list[Term]:
+        """Return the term to take next, none where none is worth it.
+
+        What a model lacks it often lacks at many joints: the same effect is taken at
+        all of those at which it is the next one as well.
+        """
         gaining = [
             fitted for fitted in self._search.everywhere() if fitted.evidence > 0.0
         ]
@@ -240,10 +245,28 @@ class Selection:
         ]
         scored = _scored(self.model.linear, likely)
         passing = [candidate for candidate in scored if self._passes(candidate)]
-        chosen = self._simplest(passing)
-        if chosen is None:
-            return None
+        first = self._simplest(passing)
+        if first is None:
+            return []
 
+        terms = [self._taken(first, passing)]
+        room = self.options.max_terms - len(self.model.terms)
+        for candidate in passing:
+            is_same = candidate.term.name == first.term.name and not first.term.smooth
+            channels = frozenset[int]().union(*(term.channels for term in terms))
+            if not is_same or candidate.term.channels & channels or len(terms) == room:
+                continue
+            here = [
+                other
+                for other in passing
+                if other.term.channels & candidate.term.channels
+            ]
+            if self._simplest(here) is candidate:
+                terms.append(self._taken(candidate, here))
+        return terms
+
+    def _taken(self, chosen: ScoredTerm, passing: Sequence[ScoredTerm]) -> Term:
+        """Return a term that is taken, and keep what ties with the best there."""
         self.tied[chosen.term.key] = [
             candidate.term
             for candidate in passing

@@ -142,6 +142,20 @@ def walks(seed: int) -> Case:
     return replace(case, asked=tuple(walked))
 
 
+def periodic(seed: int) -> Case:
+    """Periodic excitation of 30 to 60 s; every fourth arm is clean."""
+    kinds = _kinds_in_turn(seed)
+    outline = _outline("periodic", seed, kinds, ("late", "early", "step_late"))
+    case = _alone("periodic", outline, CATALOGUE[kinds[0]] if kinds else None)
+    rng = _rng("periodic", seed, 80)
+    logs = []
+    for _ in range(2):
+        seconds = float(rng.uniform(30.0, 60.0))
+        motion = motions.excitation(case.arm, rng, seconds)
+        logs.append(Asked(motion, case.effects))
+    return replace(case, asked=tuple(logs))
+
+
 def seven(seed: int) -> Case:
     """All joints of published arms of seven; every fourth arm is clean."""
     kinds = _kinds_in_turn(seed)
@@ -166,6 +180,7 @@ GROUPS: dict[str, Callable[..., Case]] = {
     "foreign": foreign,
     "belts": belts,
     "walks": walks,
+    "periodic": periodic,
     "seven": seven,
 }
 

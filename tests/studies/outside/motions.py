@@ -66,6 +66,21 @@ def multisine(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     return fitted(arm, q / np.abs(q).max(axis=0) * fade[:, None])
 
 
+def excitation(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """A Fourier series of five harmonics of one period of 4 to 8 s, again and again, as
+    identification asks for; faded in and out.
+    """
+    t, k = _times(seconds), np.arange(1, 6)
+    period = float(rng.uniform(4.0, 8.0))
+    size = rng.uniform(0.3, 1.0, (arm.n, 5)) / np.sqrt(k)
+    angle = rng.uniform(0.0, 6.3, (arm.n, 5, 1))
+    wave = np.sin(2 * np.pi * (k / period)[:, None] * t + angle)
+    q = np.einsum("jk,jkt->tj", size, wave)
+    fade = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
+    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    return fitted(arm, q / np.abs(q).max(axis=0) * fade[:, None])
+
+
 def points(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     """Moves of all joints at once between drawn points, with pauses; no overshoot."""
     moments = np.cumsum(np.tile([1.2, 0.4], int(seconds / 1.6)))

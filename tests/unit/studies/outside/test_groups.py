@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from seqid_cli.effects.repetition import period_in_samples
 from tests.studies.outside.changes import CHANGES
 from tests.studies.outside.effects import belt
 from tests.studies.outside.foreign import FOREIGN
@@ -140,6 +141,16 @@ def test_walks_go_beyond_the_friction_trials() -> None:
             )
             assert 0.05 < beyond.any(axis=1).mean() < 0.9
             assert np.all(speed < [1.5 * link.speed for link in links])
+
+
+def test_periodic_excitation_repeats() -> None:
+    """All joints have one period of 4 to 8 s, and go through it several times."""
+    for seed in range(3):
+        for log in GROUPS["periodic"](seed).asked:
+            periods = [period_in_samples(q[::10]) / 100.0 for q in log.motion.T]
+            assert np.ptp(periods) < 0.05
+            assert 3.9 < periods[0] < 8.1
+            assert len(log.motion) * 1e-3 > 3.5 * periods[0]
 
 
 def row_of(group: str, **changed: Any) -> dict[str, Any]:

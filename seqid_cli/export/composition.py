@@ -177,7 +177,7 @@ def is_timing(effect: Effect) -> bool:
 def lags_of(effects: Sequence[Fitted], base: BaseModel) -> list[str]:
     """Say what shapes the logged torque in time, in parts of a sentence."""
     parts = []
-    if base.delays_s.any():
+    if np.any(base.delays_s > 0.0):
         parts.append("late against the positions")
 
     catalogued = [item.effect for item in effects if isinstance(item, FittedEffect)]

@@ -108,14 +108,16 @@ def evidence_of(
     stage = investigation.ground.stage
     n = investigation.ground.n
 
-    # Its channel that shows it most, and rows of that one.
+    # Its channel that shows it most, and rows of that one. A joint that stands still
+    # while others move has none of its own.
     theta = model.linear.theta[model.where(term)]
     of_torque = [c for c in term.channels if c // n != LINKS] or list(term.channels)
-    channels = [c for c in of_torque if term.joint in (c % n, None)]
-    channel = max(
-        channels,
-        key=lambda c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2),
-    )
+    squares = {
+        c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2)
+        for c in of_torque
+    }
+    own_channels = [c for c in of_torque if squares[c] and term.joint in (c % n, None)]
+    channel = max(own_channels or of_torque, key=lambda c: squares[c])
     joint = channel % n
     is_below_cutoff = channel // n != 1
     take = stage.rows.of if is_below_cutoff else stage.high.of

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from seqid_cli.discover.nuisances import (
     THERMAL,
@@ -29,6 +30,7 @@ from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.identify.nuisances import with_term
 from seqid_cli.identify.regression.least_squares import whitened
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import (
     Basis,
@@ -398,8 +400,9 @@ def friction_columns(
 ) -> Array:
     """Return the columns of one joint's free friction, not low-passed.
 
-    They are those of its surface and of a drag beyond it; or Coulomb and viscous
-    friction, and an offset where a simultaneous fit had one.
+    They are those of its surface, of what the file does not know below the slowest
+    speed, and of a drag beyond the fastest; or Coulomb and viscous friction, and an
+    offset where a simultaneous fit had one.
 
     Parameters
     ----------
@@ -426,9 +429,13 @@ def friction_columns(
     elif of_file.parameters:
         n_terms = len(of_file.parameters)
     else:
+        columns = surface.columns(scene.motion.q[part, joint], v)
+        known_to_be_unknown = columns[:, surface.below_slowest]
         # a drag where friction was not identified
         beyond = surface.scaling.faster(v) * np.sign(v)
-        return np.column_stack([surface_columns(scene, joint, part), beyond])
+        return np.column_stack(
+            [columns[:, : surface.entries], known_to_be_unknown, beyond]
+        )
     terms = np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)
     return terms[:, :n_terms]
 
@@ -472,8 +479,15 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
     warmth = shown_warmth(joint)
     if warmth is not None:
         joint = with_term(joint, THERMAL, warmth.value, 0.0)
-    rows = _held_where_tied(np.array(joint.covariance))
-    return np.hstack([rows, np.zeros((len(rows), size - rows.shape[1]))])
+    covariance = np.array(joint.covariance)
+    surface = FrictionSurface.from_stage(joint)
+    variances = np.diag(surface.covariance)[surface.below_slowest]
+    least = TIED**2 * np.max(np.diag(covariance), initial=0.0)
+    spread = np.sqrt(np.maximum(variances, least))
+    known = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0.0)
+    of_surface = block_diag(_held_where_tied(covariance), np.diag(known))
+    beyond = np.zeros((len(of_surface), size - of_surface.shape[1]))
+    return np.hstack([of_surface, beyond])
 
 
 def _held_where_tied(covariance: Array) -> Array:

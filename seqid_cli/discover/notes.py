@@ -101,6 +101,7 @@ def notes_of(
         *file_notes(investigation, robot, ordinary, named_joints),
         *_absorbed_notes(investigation, robot),
         *outside_notes(investigation, robot, ordinary),
+        *slow_notes(investigation, robot, ordinary),
         *unseen_note(investigation, robot),
         *_free_base_notes(investigation, robot),
         *investigation.floor.doubts(np.where(is_seen, rms_left, np.nan), robot.joints),
@@ -213,6 +214,59 @@ def _free_base_notes(investigation: Investigation, robot: Robot) -> tuple[str, .
     return (note,)
 
 
+def _beside_terms(investigation: Investigation) -> Array:
+    """Return what the file and the terms leave (N, n) N m, one log after the other."""
+    bases = investigation.ground.base.scene_bases
+    shown = investigation.model.shown()
+    return np.concatenate(
+        [
+            of_scene.residual - of_terms
+            for of_scene, of_terms in zip(bases, shown, strict=True)
+        ]
+    )
+
+
+def slow_notes(
+    investigation: Investigation, robot: Robot, ordinary: Array
+) -> tuple[str, ...]:
+    """Say which joints move slower than their friction trials and leave much there.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
+    """
+    scenes = investigation.ground.stage.scenes
+    sliding = np.concatenate([scene.slides for scene in scenes])
+    speed = np.concatenate([np.abs(scene.motion.dq) for scene in scenes])
+    residual = _beside_terms(investigation)
+
+    notes = []
+    for joint, surface in enumerate(scenes[0].model.surfaces):
+        if surface is None:
+            continue
+        slowest = surface.scaling.speed[0]
+        is_slow = sliding[:, joint] & (speed[:, joint] < slowest)
+        share = is_slow.sum() / max(int(sliding[:, joint].sum()), 1)
+        if share < OUTSIDE_NOTE:
+            continue
+        times = rms(residual[is_slow, joint]) / max(ordinary[joint], 1e-12)
+        if times > MORE_THAN_NOISE:
+            unit = robot.joints[joint].unit("rad/s")
+            notes.append(
+                f"joint {robot.joint_names[joint]}: {percent(share, 0)} of its moving"
+                f" samples are slower than any friction trial ({slowest:.3g} {unit}),"
+                f" where the file lets friction stay as it is there; {times:.0f} times"
+                " what torque noise and encoder account for is left; identify friction"
+                " with slower trials"
+            )
+    return tuple(notes)
+
+
 def outside_notes(
     investigation: Investigation, robot: Robot, ordinary: Array
 ) -> tuple[str, ...]:
@@ -230,15 +284,7 @@ def outside_notes(
     scenes = investigation.ground.stage.scenes
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding
-    residual_by_scene = [
-        of_scene.residual - of_terms
-        for of_scene, of_terms in zip(
-            investigation.ground.base.scene_bases,
-            investigation.model.shown(),
-            strict=True,
-        )
-    ]
-    residual = np.concatenate(residual_by_scene)
+    residual = _beside_terms(investigation)
 
     notes = []
     for joint, name in enumerate(robot.joint_names):

@@ -288,7 +288,7 @@ class PeriodicDisturbance(Effect):
         def repeats(frequencies: Array) -> Mask:
             """Return with which lines (F,) Hz all motions repeat."""
             of_logs = [repeats_with_motion(scene, frequencies) for scene in scenes]
-            return np.logical_and.reduce(of_logs)
+            return np.asarray(np.logical_and.reduce(of_logs))
 
         for near in strongest_lines(sliding, LOWEST_HZ, LINES, is_known=repeats):
             signals = signals_of(scenes, joint, residual, near)

@@ -216,6 +216,14 @@ class FrictionSurface:
         """Number of the surface's entries, the first of `coefficients`."""
         return self.positive.size * len(self._sides)
 
+    @property
+    def below_slowest(self) -> list[int]:
+        """Which of `coefficients` stand for friction below the slowest speed."""
+        if self.scaling.speed[0] <= 0.0:
+            return []
+        sides = range(len(self._sides))
+        return [self.entries + EXTENSION_SIZE * side + SLOWER for side in sides]
+
     @cached_property
     def coefficients(self) -> Array:
         """Entries of the surface, direction by direction, then its extension (k,)."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from seqid_cli.discover.base import LIKELY, base_of
 from seqid_cli.discover.nuisances import THERMAL, nuisances_of
@@ -16,7 +17,7 @@ from seqid_cli.robot.base_parameters import free_basis
 from tests import Array
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS
-from tests.unit.discover.arms import arm_scenes
+from tests.unit.discover.arms import arm_scenes, file_of, selected
 
 TOP = 4.0  # rad/s, of the friction stage
 HALF = 0.5 * VISCOUS[0] * TOP
@@ -176,3 +177,37 @@ def test_what_no_log_of_a_file_has_shown_of_warmth_is_left_to_effects(
     stages = Stages(friction=FrictionStage(joints={"joint_1": joint}))
     terms = nuisances_of([at(scenes[0], 31.0, joint)], stages)
     assert THERMAL not in {term.name for term in terms}
+
+
+SLOWEST = 2.0  # rad/s, of friction trials
+
+
+def seen_by_fast_trials(scene: Scene) -> tuple[Scene, Stages]:
+    """Return a scene with a file whose trials were no slower than `SLOWEST`.
+
+    Its friction holds below that, and the arm's own goes on.
+    """
+    half = 0.5 * VISCOUS[0] * (TOP - SLOWEST)
+    middle = COULOMB[0] + 0.5 * VISCOUS[0] * (TOP + SLOWEST)
+    joint = friction_joint(
+        [[middle, half]],
+        speed_range=[SLOWEST, TOP],
+        sign_width=SIGN_WIDTH,
+        covariance=(1e-6 * np.eye(2)).tolist(),
+    )
+    surfaces = [FrictionSurface.from_stage(joint), scene.model.surfaces[1]]
+    fast = replace(scene, model=replace(scene.model, surfaces=surfaces))
+    file = file_of(scene)
+    return fast, structs.replace(
+        file, friction=FrictionStage(joints={"joint_1": joint})
+    )
+
+
+def test_friction_below_the_slowest_trial_is_no_effect(scenes: list[Scene]) -> None:
+    files = [seen_by_fast_trials(scene) for scene in scenes]
+    logs = [scene for scene, _ in files]
+    _, stages = files[0]
+    at_file = base_of(rows_of(logs), stages)
+    found = selected(logs, ["nonlinear_viscous", "friction_change"], stages=stages)
+    assert at_file.start[0] > 5.0 * found.model.rms()[0]
+    assert found.terms == ()

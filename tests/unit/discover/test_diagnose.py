@@ -25,6 +25,7 @@ from seqid_cli.discover.notes import (
     expected,
     file_notes,
     outside_notes,
+    slow_notes,
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import SelectionProblem
@@ -459,21 +460,27 @@ def on(found: Investigation, ground: SelectionProblem) -> Investigation:
     return replace(found, selection=replace(found.selection, model=model))
 
 
-def beyond_friction(found: Investigation, times: float) -> Investigation:
+def beyond_friction(
+    found: Investigation, times: float, *, is_slower: bool = False
+) -> Investigation:
     """Say that friction of the elbow was identified in half its range of speed alone.
 
-    Beyond it the file leaves `times` what it does.
+    Beyond it, or below it with `is_slower`, the file leaves `times` what it does.
     """
     ground = found.ground
     rows, scene = ground.stage.rows, ground.stage.scenes[0]
     top = float(np.max([np.abs(s.motion.dq[:, 1]).max() for s in rows.scenes]))
     curve = friction_surface(1.0, 0.5, top=0.5 * top, order=2, variance=1e-6)
+    if is_slower:
+        scaling = replace(curve.scaling, speed=(0.5 * top, top))
+        curve = replace(curve, scaling=scaling)
     model = replace(scene.model, surfaces=(scene.model.surfaces[0], curve))
     scenes = tuple(replace(s, model=model) for s in rows.scenes)
     whole = []
     for scene, part in zip(scenes, ground.base.scene_bases, strict=True):
-        fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
-        whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
+        is_fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
+        factor = np.where(is_fast != is_slower, times, 1.0)
+        whole.append(replace(part, residual=part.residual * factor))
     stage = CandidateColumns(replace(rows, scenes=scenes))
     return on(
         found,
@@ -491,3 +498,14 @@ def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
     (note,) = outside_notes(beyond_friction(found, 20.0), robot, ordinary)
     assert note.startswith("joint elbow: ")
     assert "friction was not identified" in note
+
+
+def test_what_is_left_below_the_slowest_trial_is_said() -> None:
+    found, robot = investigated(), given().robot
+    ordinary = expected(found)
+    for usual in (found, beyond_friction(found, 1.0, is_slower=True)):
+        assert slow_notes(usual, robot, ordinary) == ()
+    slow = beyond_friction(found, 20.0, is_slower=True)
+    (note,) = slow_notes(slow, robot, ordinary)
+    assert note.startswith("joint elbow: ")
+    assert "identify friction with slower trials" in note

@@ -17,7 +17,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.survey.events import Interval
@@ -75,6 +74,8 @@ def contact_point(
     ContactPoint or None
         None where the joints determine no coordinate of a point.
     """
+    from scipy.optimize import least_squares
+
     if len(event.joints) < LEAST_JOINTS:
         return None
     push = _push_of(investigation, robot, event)

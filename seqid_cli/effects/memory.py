@@ -11,7 +11,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.ndimage import shift
-from scipy.signal import lfilter
 
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
@@ -353,6 +352,8 @@ def lagged(values: Array, time_constant_s: float, rate_hz: float) -> Array:
         Above 0.
     rate_hz : float
     """
+    from scipy.signal import lfilter
+
     if not len(values):
         return values.copy()
     decay = float(np.exp(-1.0 / (rate_hz * time_constant_s)))

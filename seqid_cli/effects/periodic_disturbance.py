@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, median_filter
-from scipy.signal import periodogram
 
 from seqid_cli.effects.effect import (
     Coefficient,
@@ -35,6 +34,7 @@ from seqid_cli.effects.repetition import repeats_with_motion
 from seqid_cli.effects.scene import Scene, Scenes
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.types import Robot
+from seqid_cli.spectra import line_power
 from seqid_cli.typing import Array, Complex, Mask
 
 PEAK = 12.0  # power over that of the neighbourhood, below which nothing is looked at
@@ -137,13 +137,8 @@ def _power(signals: Sequence[Signal], frequencies: Array) -> Array:
     """Return the summed power (F,) of some logs at frequencies (F,) Hz."""
     power = np.zeros(len(frequencies))
     for signal in signals:
-        frequency, spectrum = periodogram(
-            signal.values,
-            signal.rate_hz,
-            "hann",
-            4 * len(signal.values),
-            scaling="spectrum",
-        )
+        length = 4 * len(signal.values)
+        frequency, spectrum = line_power(signal.values, signal.rate_hz, length)
         power += np.interp(frequencies, frequency, spectrum)
     return power
 

@@ -18,7 +18,6 @@ from math import isfinite, prod
 from typing import ClassVar, Literal, Self, cast, get_args
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from seqid_cli.effects.scene import Scene
 from seqid_cli.effects.units import UNEXPLAINED
@@ -110,6 +109,8 @@ def splines(x: Array, knots: Sequence[float]) -> Array:
 
     They are held beyond the first and the last knot.
     """
+    from scipy.interpolate import BSpline
+
     unit_coefficients = np.eye(len(knots) + DEGREE - 1)
     held = np.clip(x, knots[0], knots[-1])
     return np.asarray(BSpline(_padded(knots), unit_coefficients, DEGREE)(held))

@@ -28,7 +28,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.optimize import minimize_scalar
 
 from seqid_cli.effects.effect import (
     Coefficient,
@@ -227,6 +226,8 @@ def _surroundings(power: Array) -> Array:
 
 def _refined(profile: Profile, order: float, width: float) -> float:
     """Return the order of most gain within `width` of a peak."""
+    from scipy.optimize import minimize_scalar
+
     best = minimize_scalar(
         lambda x: -profile.gain(x),
         bounds=(order - width, order + width),

@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
@@ -41,6 +40,8 @@ class Deviation:
 
     def as_robot(self) -> Robot:
         """Return the arm with the shift in its frames, about which joints then move."""
+        from scipy.spatial.transform import Rotation
+
         chain = self.robot.chain
         rotation = chain.rotation.copy()
         position = chain.position.copy()
@@ -93,6 +94,8 @@ def deviation_torques(
 
 
 def _of_gravity(robot: Robot) -> Iterator[Deviation]:
+    from scipy.spatial.transform import Rotation
+
     if robot.gravity_error <= 0.0 or not robot.gravity.any():
         return
     down = robot.gravity / np.linalg.norm(robot.gravity)
@@ -114,6 +117,8 @@ def _of_zeros(robot: Robot) -> Iterator[Deviation]:
 
 
 def _of_geometry(robot: Robot) -> Iterator[Deviation]:
+    from scipy.spatial.transform import Rotation
+
     chain = robot.chain
     none = np.zeros(robot.n)
     for j, joint in enumerate(robot.joints):

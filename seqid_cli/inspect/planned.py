@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import structs
-from scipy.signal import correlate
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.screening import Screened, read_screened
@@ -29,6 +28,7 @@ from seqid_cli.params.results.inspection import PlannedPart
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
+from seqid_cli.spectra import correlated
 
 RATE_HZ = 20.0  # of positions that are compared
 ORDER = ("missing", "spoiled", "recorded")
@@ -200,13 +200,13 @@ def _mean_distance(
     infinitely far.
     """
     ones = np.ones(len(p))
-    n_valid = correlate(log.valid, ones, method="fft")
+    n_valid = correlated(log.valid, ones)
     squares = np.sum(((log.q / unit) ** 2) * log.valid[:, None], axis=1)
-    distance = correlate(squares, ones, method="fft")
-    distance += correlate(log.valid, np.sum((p / unit) ** 2, axis=1), method="fft")
+    distance = correlated(squares, ones)
+    distance += correlated(log.valid, np.sum((p / unit) ** 2, axis=1))
     for j in range(len(unit)):
-        distance -= 2.0 * correlate(
-            log.valid * log.q[:, j] / unit[j], p[:, j] / unit[j], method="fft"
+        distance -= 2.0 * correlated(
+            log.valid * log.q[:, j] / unit[j], p[:, j] / unit[j]
         )
     counts = n_valid >= least_share * len(p)
     if not counts.any():

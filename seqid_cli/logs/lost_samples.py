@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough
@@ -113,6 +112,8 @@ def _filled(
     Positions follow the cubic through positions and slopes of both sides, everything
     else a straight line through what was logged around the hole.
     """
+    from scipy.interpolate import CubicHermiteSpline
+
     polyfit = np.polynomial.polynomial.polyfit
     x = (stamps - stamps[row]).astype(np.float64) * 1e-9
     seconds = (filling - stamps[row]) * 1e-9

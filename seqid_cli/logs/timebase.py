@@ -13,7 +13,6 @@ of columns of a channel.
 from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream, gap_limit
@@ -221,6 +220,8 @@ def _interpolate(
     near : float
         Of the samples' interval; samples closer than that make a spline swing.
     """
+    from scipy.interpolate import make_interp_spline
+
     t = base.t
     tolerance = UNIFORM * base.step_s
     valid = (t >= seconds[0] - tolerance) & (t <= seconds[-1] + tolerance)
@@ -262,6 +263,8 @@ def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
     Averaging keeps what is faster than the base from aliasing. The window is symmetric,
     hence without delay, and shrinks at the ends of the samples.
     """
+    from scipy.interpolate import make_interp_spline
+
     line = make_interp_spline(x, values, k=1)
     area = line.antiderivative()
     t = np.clip(t, x[0], x[-1])

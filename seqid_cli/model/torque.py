@@ -17,7 +17,7 @@ from typing import Self
 
 import numpy as np
 from scipy.ndimage import binary_dilation, minimum_filter1d
-from scipy.signal import firwin
+from scipy.special import i0
 
 from seqid_cli.model.friction import (
     FrictionFamily,
@@ -482,7 +482,10 @@ def _band_limited(
 @lru_cache(maxsize=1)
 def _taps(*, beta: float = 7.5) -> Array:
     """Return the low-pass (2 HALF + 1, PARTS) over the points around a sample."""
-    length = 2 * HALF * PARTS + 1
+    middle = HALF * PARTS
+    at = np.arange(-middle, middle + 1)
+    window = i0(beta * np.sqrt(1.0 - (at / middle) ** 2))
+    lowpass = np.sinc(at / PARTS) * window
     taps = np.zeros((2 * HALF + 1) * PARTS)
-    taps[:length] = firwin(length, 1 / PARTS, window=("kaiser", beta))
+    taps[: len(at)] = lowpass / lowpass.sum()
     return taps.reshape(2 * HALF + 1, PARTS)

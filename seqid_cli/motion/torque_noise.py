@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import detrend
 from scipy.special import digamma, ndtr, polygamma, softmax
 
 from seqid_cli.motion.filters.butterworth import ORDER, Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
+from seqid_cli.spectra import without_line
 from seqid_cli.typing import Array, Mask
 
 # Motion of a log, and for how many seconds the joint slides.
@@ -142,7 +142,7 @@ class Spectrum:
 
         window = np.hanning(length) if robust else np.ones(length)
         stacked = np.stack([values[start : start + length] for start in starts])
-        pieces = window * detrend(stacked, axis=1)
+        pieces = window * without_line(stacked)
         spectra = np.fft.rfft(pieces, axis=1)[:, used]
         power = np.abs(spectra) ** 2 / (rate_hz * np.sum(window**2))
 

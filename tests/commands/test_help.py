@@ -184,6 +184,32 @@ def test_mistakes_are_found_before_heavy_imports(tmp_path: Path) -> None:
     assert not modules & HEAVY
 
 
+# Half a second of CPU time and more, of which a log of minutes needs nothing.
+BY_NEED = {f"scipy.{x}" for x in ("signal", "stats", "optimize", "interpolate")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command",
+    ["inspect {}/gravity", "simultaneous {}/inertia", "predict {}/validation"],
+)
+def test_stages_import_what_they_need(command: str, tmp_path: Path) -> None:
+    rig = ROOT / "sample_logs" / "one_joint"
+    words = [*command.format(rig).split(), "-r", str(rig / "robot.toml"), "--json"]
+    words += ["-p", str(rig / "golden.json")] if words[0] == "predict" else []
+    done = subprocess.run(
+        [sys.executable, "-c", LIST_MODULES, json.dumps([words])],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    codes, modules = json.loads(done.stderr.splitlines()[-1])
+    assert codes == [0]
+    assert "numpy" in modules
+    assert not BY_NEED & set(modules)
+
+
 def test_rich_is_imported_where_a_table_is_drawn(tmp_path: Path) -> None:
     """Not with a command that prints JSON."""
     golden = str(ROOT / "sample_logs" / "one_joint" / "golden.json")

@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement.held_out import Gain
@@ -115,7 +115,7 @@ class AcrossLogs:
             # the spread of logs about the ratio, and the error of the ratio itself
             difference = (self.after - ratio * self.before) / (total / count)
             spread = np.sqrt(np.sum(difference**2) / (count - 1))
-            quantile = student_t.ppf(0.5 + LEVEL / 2, count - 1)
+            quantile = stdtrit(count - 1, 0.5 + LEVEL / 2)
             half_width = quantile * spread * np.sqrt(1.0 + 1.0 / count)
         value = 1.0 - ratio
         return Gain(

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S, MOST_OUTSIDE
@@ -427,6 +427,6 @@ def _half_width(difference: Array, level: float) -> float:
     count = len(difference)
     if count < 2:
         return float("inf")
-    quantile = float(student_t.ppf(0.5 + 0.5 * level, count - 1))
+    quantile = float(stdtrit(count - 1, 0.5 + 0.5 * level))
     variance = count / (count - 1) * np.sum(difference**2)
     return quantile * float(np.sqrt(variance))

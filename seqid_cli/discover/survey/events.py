@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
@@ -622,6 +621,8 @@ def _neighbours(
         How remote each window is: 1 where its neighbours are as near as usual, more
         beyond what other windows have seen.
     """
+    from scipy.spatial import cKDTree
+
     n_windows = len(windows.centre)
     stride = max(OVERLAP, n_windows // MOST_REFERENCES)
     reference = np.arange(0, n_windows, stride)

@@ -32,7 +32,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import minimize
 
 from seqid_cli.identify.friction_surface.reduction import (
     EDGES,
@@ -311,6 +310,8 @@ class Evidence:
 
         They are searched from those `near`, or from the usual ones.
         """
+        from scipy.optimize import minimize
+
         start = np.zeros(len(self.usual))
         furthest = SEARCH_LIMIT * self.spread
         logs: Array | None = None

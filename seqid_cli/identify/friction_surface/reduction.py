@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.stats import binned_statistic, median_abs_deviation
 
 from seqid_cli.identify.options import MAX_POSITION_ORDER
 from seqid_cli.model.friction_basis import Scaling
@@ -97,6 +96,8 @@ class SpeedData:
 
 def around_medians(data: list[SpeedData]) -> list[Array]:
     """Return distances (K,) N m of slices from medians over positions and trials."""
+    from scipy.stats import binned_statistic
+
     around_trial = [item.friction - np.median(item.friction) for item in data]
     q = np.concatenate([item.q for item in data])
     median, edges, _ = binned_statistic(
@@ -122,6 +123,8 @@ def weighted(data: list[SpeedData], distances: list[Array]) -> list[SpeedData]:
     distances : list of (K,) arrays
         Distances of their slices from the surface [N m].
     """
+    from scipy.stats import median_abs_deviation
+
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
     deviations = [median_abs_deviation(x, scale="normal") for x in distances]
     scales = np.maximum(deviations, max(MIN_SCATTER * level, 1e-300))

@@ -14,7 +14,6 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebvander
-from scipy.optimize import brentq
 from scipy.special import erf
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
@@ -85,6 +84,8 @@ class Errors:
         prod erf(x / (sqrt(2) s_i)), s_i the standard deviation of average i over its
         friction.
         """
+        from scipy.optimize import brentq
+
         spreads = np.hypot(self.noise, self.trial_error) / self._denominator
         largest = float(spreads.max())
         if largest <= 0.0:

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
 from scipy.special import sici
 
 from seqid_cli.typing import Array, Index
@@ -52,6 +51,8 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
 
     There are more rows than columns. The function takes and returns rows (N, ...).
     """
+    from scipy.optimize import minimize
+
     # A part's strength against white noise counts from `least` on.
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
     logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)

@@ -21,8 +21,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from seqid_cli.imu.array import read_angular
 from seqid_cli.imu.calibration.segments import Segment
@@ -175,6 +173,8 @@ def fit_rotation(pairs: list[Pair]) -> Array:
     R minimises sum |R b - m|^2 / sigma^2 over proper rotations (Eq. 38, Wahba's
     problem).
     """
+    from scipy.spatial.transform import Rotation
+
     B = np.array([pair.imu for pair in pairs])
     M = np.array([pair.link for pair in pairs])
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:  # one axis alone: by the smallest angle
@@ -193,6 +193,8 @@ def starting_constants(
     segments: list[Segment], robot: Robot, imu: Imu, guess: Array
 ) -> Constants:
     """Return the constants to begin with; `guess` (3, 3) is one of the starts."""
+    from scipy.spatial.transform import Rotation
+
     tables = [(segment, _table(segment, robot, imu)) for segment in segments]
     clocks, sums = _clocks(tables)
     # The 24 ways in which a box may be screwed on are starts as well.
@@ -339,6 +341,9 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> _Start:
     The fit of turn and lever takes the sums alone, and biases follow. `hold` is the
     weight on the lever, in readings' noise per m.
     """
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
     xx, xy, yy = sums
     samples = max(float(xx[-1, -1]), 1.0)
     x_mean = xx[-1, :-1] / samples

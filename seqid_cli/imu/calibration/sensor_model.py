@@ -10,7 +10,6 @@ them differently.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from seqid_cli.imu.array import layout
 from seqid_cli.imu.clock import Clock
@@ -253,6 +252,8 @@ class Constants:
 
     def moved(self, step: Array) -> "Constants":
         """Return the constants after a step (p,)."""
+        from scipy.spatial.transform import Rotation
+
         at = self.places
         return Constants(
             R=Rotation.from_rotvec(step[at.turn]).as_matrix() @ self.R,

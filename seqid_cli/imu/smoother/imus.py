@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from seqid_cli.imu.array import entries
 from seqid_cli.imu.sensor import Mounting
@@ -283,6 +282,8 @@ def clipped(
 
 def moved(x: Mounted, change: Array) -> Mounted:
     """Return an IMU whose constants have changed by `change` (g,)."""
+    from scipy.spatial.transform import Rotation
+
     places = x.places
     rotation = Rotation.from_rotvec(change[places.turn])
     place = replace(

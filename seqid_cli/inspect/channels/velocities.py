@@ -12,8 +12,6 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from msgspec import structs
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import welch
 
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
@@ -27,6 +25,7 @@ from seqid_cli.inspect.scales import (
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
+from seqid_cli.spectra import welch
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10  # windows in which a joint moves
@@ -191,7 +190,7 @@ def _noise_density(
     recording = data.recording
     assert recording.dq is not None
     length = min(len(recording.dq), round(segment_s * recording.rate_hz))
-    f, density = welch(recording.dq, recording.rate_hz, nperseg=length, axis=0)
+    f, density = welch(recording.dq, recording.rate_hz, length)
 
     edges = motion_hz * 2.0 ** np.arange(12)
     octaves = []
@@ -222,9 +221,9 @@ def _windows(data: LogData, seconds: float) -> _Windows:
     assert recording.dq is not None
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
-    integral = cumulative_trapezoid(
-        recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0
-    )
+    dq = recording.dq
+    steps = 0.5 * (dq[1:] + dq[:-1]) / recording.rate_hz
+    integral = np.concatenate([np.zeros_like(dq[:1]), np.cumsum(steps, axis=0)])
     n_bridged = np.concatenate([[0], np.cumsum(~recording.valid)])
     without_gap = np.diff(n_bridged[edges]) == 0
     return _Windows(

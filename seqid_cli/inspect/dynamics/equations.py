@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.inspect.dynamics.angles import angle_findings, far_angle_finding
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, zero_off
@@ -213,10 +212,12 @@ def _shifted(
         def error(angle: float, j: int = j) -> float:
             return measure(zero_off(robot, j, angle).on(few))
 
-        # A search takes long: only where a small shift already helps.
+        # A search, and its import, take long: only where a small shift already helps.
         least = min(error(slightly), error(-slightly))
         if least > (1.0 - min_gain) * unshifted_error:
             continue
+        from scipy.optimize import minimize_scalar
+
         spacing = 2.0 * np.pi / angles
         candidates = 2.0 * np.pi * np.arange(angles) / angles
         start = float(min(candidates, key=error))
@@ -347,6 +348,8 @@ def _slanted(
     The search begins at the best of the `axes`, `reach` [rad] to two sides, and ends at
     `precise` [rad] or after so many `evaluations`.
     """
+    from scipy.optimize import minimize
+
     start = min(axes, key=lambda axis: measure(axis.on(sample))).gravity
     assert start is not None
     strength = np.linalg.norm(start)

@@ -18,7 +18,6 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import correlate
 
 from seqid_cli.inspect.dynamics.echo import driven, smooth
 from seqid_cli.inspect.findings import finding_of
@@ -32,6 +31,7 @@ from seqid_cli.robot.base_parameters import (
 )
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.spectra import correlated
 from seqid_cli.typing import Mask
 
 SIGMAS = 4.0
@@ -313,7 +313,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> _JointFriction:
 def memory_of(residual: Array) -> float:
     """Return how many rows of a residual say as much as one, by its autocorrelation."""
     x = residual - residual.mean()
-    r = correlate(x, x, method="fft")[len(x) - 1 :]
+    r = correlated(x, x)[len(x) - 1 :]
     # Beyond its first zero the autocorrelation is noise.
     not_positive = np.flatnonzero(r <= 0.0)
     last = not_positive[0] if len(not_positive) else len(r)

@@ -40,7 +40,6 @@ from typing import NamedTuple
 
 import clarabel
 import numpy as np
-from scipy import sparse
 
 from seqid_cli.errors import QualityError
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
@@ -389,6 +388,8 @@ class _Problem:
 
 def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:
     """Minimise a linear cost over cones; None without a solution."""
+    from scipy import sparse
+
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import nnls
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.consistent import consistent_links
@@ -345,6 +344,8 @@ def _masses(
     lightest : float
         Least mass of a link, as a share of the mean.
     """
+    from scipy.optimize import nnls
+
     per_kilogram = [
         of_link @ standard_of(J)
         for of_link, J in zip(np.split(E, len(shapes), axis=1), shapes, strict=True)

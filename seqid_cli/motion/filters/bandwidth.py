@@ -31,9 +31,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
 
 from seqid_cli.robot.regressor import PER_LINK
+from seqid_cli.spectra import welch
 from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
@@ -292,9 +292,7 @@ def smoothed_score(
 
     def spectra(values: Array, segment_s: int) -> tuple[Array, Array]:
         length = min(len(values), max(256, int(segment_s * rate_hz)))
-        frequency, density = welch(
-            values, rate_hz, nperseg=length, detrend=False, axis=0
-        )
+        frequency, density = welch(values, rate_hz, length, centred=False)
         return frequency, density.T
 
     # J of each joint: information about its acceleration, less its bias.

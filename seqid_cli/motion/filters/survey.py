@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.signal import get_window
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
+from seqid_cli.spectra import hann
 from seqid_cli.typing import Array, Index, Mask
 
 MOST_LEVELS = 65_536  # distinct positions of a joint; a step and noise show in fewer
@@ -35,7 +35,7 @@ class Welch:
     def __init__(self, length: int, differences: int = 0) -> None:
         self.length = length
         self._differences = differences  # that are taken of the samples first
-        self._window = get_window("hann", length)
+        self._window = hann(length)
         self._sum: Array | float = 0.0
         self._segments = 0  # taken so far
         self._start = 0  # where the next segment begins

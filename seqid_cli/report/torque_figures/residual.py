@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import welch
 
 from seqid_cli.report.chart import figure, padded, small_panel
 from seqid_cli.report.collection import Place
@@ -12,6 +11,7 @@ from seqid_cli.report.torque_figures.thinning import extremes, pieces
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Figure, table
 from seqid_cli.report.words import number, plural
+from seqid_cli.spectra import welch
 from seqid_cli.typing import Array
 
 _ROWS = 20  # of the table of a spectrum
@@ -231,5 +231,5 @@ def _amplitude_density(t: Array, residual: Array) -> tuple[Array, Array]:
     even_residual = np.interp(even_t, t, residual)
     rate_hz = (len(t) - 1) / float(t[-1] - t[0])
     length = min(len(residual), max(256, len(residual) // 4))
-    f, power = welch(even_residual, fs=rate_hz, nperseg=length, detrend="constant")
+    f, power = welch(even_residual, rate_hz, length)
     return f, np.sqrt(power)

@@ -21,6 +21,7 @@ from seqid_cli.drive.signals import (
     STANDS_STEPS,
     DriveSignals,
     command_at,
+    smooth_at,
     table_for,
 )
 from seqid_cli.drive.simulation import STEP_S, Asked, ClosedLoop, Gains
@@ -236,9 +237,9 @@ def _asked(
             c[:, w, j] = command_at(log, joint.command, j, at)
             smooth = log.commands.get(joint.command, log.commands["interpolated"])
             if joint.value("velocity_feedforward"):
-                dc[:, w, j] = np.interp(at, log.raw.t, smooth.dc[:, j])
+                dc[:, w, j] = smooth_at(log, smooth.dc[:, j], at)
             if joint.value("acceleration_feedforward"):
-                ddc[:, w, j] = np.interp(at, log.raw.t, smooth.ddc[:, j])
+                ddc[:, w, j] = smooth_at(log, smooth.ddc[:, j], at)
     led = _led(file, windows, steps, step_s)
     return Asked(c=c, dc=dc, ddc=ddc, led=led)
 

@@ -22,6 +22,7 @@ from seqid_cli.drive.signals import (
     STANDS_STEPS,
     DriveSignals,
     command_at,
+    smooth_at,
     sum_of_steps,
 )
 from seqid_cli.logs.raw import Rows
@@ -142,10 +143,8 @@ class JointCourse:
         dc = np.empty_like(self.along)
         for b, place in enumerate(self.places):
             log = self.logs[place.log]
-            smooth = log.commands[self.course]
-            dc[:, b] = np.interp(
-                self.times[:, b] - delay_s, log.raw.t, smooth.dc[:, self.joint]
-            )
+            slopes = log.commands[self.course].dc[:, self.joint]
+            dc[:, b] = smooth_at(log, slopes, self.times[:, b] - delay_s)
         return dc
 
     def finer(self) -> "JointCourse":

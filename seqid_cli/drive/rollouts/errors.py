@@ -5,8 +5,9 @@ after the other moves the numbers by counts (jackknife). A prior counts as one
 observation more.
 
 Steps of a simulation are a bias and no scatter. What half of their length moves the
-numbers by is at least a half of what no steps would: it counts twice. So is what the
-low-pass takes of the other joints' motion: half of the band shows what an octave does.
+numbers by is about a half of what no steps would: twice of it is taken off them, and a
+third of that counts as an error. What the low-pass takes of the other joints' motion is a
+bias as well: half of the band shows what an octave does.
 
 Numbers that are known from elsewhere have errors as well. What each of them moves the
 result by counts.
@@ -25,9 +26,29 @@ from seqid_cli.typing import Array, Mask
 
 # A controller acts in steps of its own: half a step of a fast one [s].
 LATE_S = 1e-4
+# Times what half of a step moves numbers by: what no steps would. It is 2 for a scheme of
+# first order and 4/3 for one of second, and friction makes the latter one of the former.
+TO_NO_STEPS = 2.0
+BIAS_ERROR = 0.3  # of what is taken off
+# No logarithm of a number is surer: curves between rows, and steps of whoever moved the
+# arm, make as much.
+LEAST_ERROR = 3e-4
 # A number is the prior's whose error grows so much where the prior is so much wider.
 WIDER = 3.0
 GROWS = 1.5
+
+
+def bias_of_steps(
+    loops: Sequence[JointLoop], unknowns: Unknowns, solution: Solved
+) -> Array:
+    """Return what the simulation's steps make of the numbers (p,), as they are searched.
+
+    Numbers that are the prior's move as little as the prior lets them.
+    """
+    H = _information(solution) + np.diag(unknowns.std**-2.0)
+    return np.asarray(
+        TO_NO_STEPS * _inverse(H) @ _pull_of_steps(loops, unknowns, solution)
+    )
 
 
 def std_errors(
@@ -36,6 +57,7 @@ def std_errors(
     unknowns: Unknowns,
     solution: Solved,
     given: Mapping[str, float],
+    bias: Array,
 ) -> Array:
     """Return standard errors (p,) in what is searched.
 
@@ -46,18 +68,39 @@ def std_errors(
     unknowns, solution
     given : mapping of str to float
         Standard errors of numbers that are known from elsewhere and not searched.
+    bias : (p,) array
+        Of the simulation's steps, which is taken off.
     """
     H = _information(solution) + np.diag(unknowns.std**-2.0)
     errors = _of_scatter(H, unknowns, solution)
     inverse = _inverse(H)
-    moved = 2.0 * inverse @ _pull_of_steps(loops, unknowns, solution)
-    errors = np.hypot(errors, moved)
+    errors = np.hypot(errors, BIAS_ERROR * bias)
     other = errors_of(smooth, unknowns, solution.theta[None])
     errors = np.hypot(errors, inverse @ _pull(solution, [each[0] for each in other]))
     for pull in _pulls_of_given(loops, unknowns, solution, given):
         errors = np.hypot(errors, inverse @ pull)
+    errors = np.hypot(errors, _least_errors(loops, unknowns, solution))
     late = np.array([name == "command_delay" for name in unknowns.names])
     return np.asarray(np.hypot(errors, np.where(late, LATE_S, 0.0)))
+
+
+def _least_errors(
+    loops: Sequence[JointLoop], unknowns: Unknowns, solution: Solved
+) -> Array:
+    """Return `LEAST_ERROR` of each number (p,) as it is searched.
+
+    A rotor's is that of the whole inertia, of which it is a part.
+    """
+    inertia = float(np.mean([loop.course.inertia.mean() for loop in loops]))
+    natural = unknowns.natural(solution.theta[None])[0]
+    errors = np.zeros(len(natural))
+    for k, each in enumerate(unknowns.searched):
+        if not each.positive:
+            continue
+        errors[k] = LEAST_ERROR
+        if each.name == "armature":
+            errors[k] *= 1.0 + inertia / max(float(natural[k]), 1e-12)
+    return errors
 
 
 def _of_scatter(H: Array, unknowns: Unknowns, solution: Solved) -> Array:

@@ -19,7 +19,7 @@ from seqid_cli.drive.equations import (
     VELOCITY_FEEDFORWARD,
 )
 from seqid_cli.drive.rollouts.course import JointCourse
-from seqid_cli.drive.rollouts.errors import of_the_prior, std_errors
+from seqid_cli.drive.rollouts.errors import bias_of_steps, of_the_prior, std_errors
 from seqid_cli.drive.rollouts.loop import NAMES, JointLoop
 from seqid_cli.drive.rollouts.solver import Solved, errors_of, mean_squares, solved
 from seqid_cli.drive.rollouts.terms import (
@@ -186,10 +186,11 @@ def _finished(
     rms = bounded_rms(parts.judged(unknowns, base.theta))
     whole = solved(loops, unknowns, base.theta)
     given = {} if by_rows is None else given_errors(unknowns, by_rows)
-    errors = std_errors(loops, smooth, unknowns, whole, given)
+    bias = bias_of_steps(loops, unknowns, whole)
+    errors = std_errors(loops, smooth, unknowns, whole, given, bias)
     is_far = _distance(unknowns, whole.theta) > PLAUSIBLE
     open_numbers = of_the_prior(unknowns, whole) | is_far
-    natural = unknowns.natural(whole.theta[None])[0]
+    natural = unknowns.natural((whole.theta - bias)[None])[0]
     values = dict(zip(unknowns.names, natural.tolist(), strict=True))
     scale = np.array([each.positive for each in unknowns.searched])
     stated = np.where(scale, natural * errors, errors)

@@ -5,9 +5,9 @@ after the other moves the numbers by counts (jackknife). A prior counts as one
 observation more.
 
 Steps of a simulation are a bias and no scatter. What half of their length moves the
-numbers by is about a half of what no steps would: twice of it is taken off them, and a
-third of that counts as an error. What the low-pass takes of the other joints' motion is a
-bias as well: half of the band shows what an octave does.
+numbers by is about a half of what no steps would: twice of it is taken off them, and
+a third of that counts as an error. What the low-pass takes of the other joints' motion
+is a bias as well: half of the band shows what an octave does.
 
 Numbers that are known from elsewhere have errors as well. What each of them moves the
 result by counts.
@@ -26,8 +26,8 @@ from seqid_cli.typing import Array, Mask
 
 # A controller acts in steps of its own: half a step of a fast one [s].
 LATE_S = 1e-4
-# Times what half of a step moves numbers by: what no steps would. It is 2 for a scheme of
-# first order and 4/3 for one of second, and friction makes the latter one of the former.
+# Times what half of a step moves numbers by: what no steps would. It is 2 for a scheme
+# of first order and 4/3 for one of second; friction makes the latter one of the former.
 TO_NO_STEPS = 2.0
 BIAS_ERROR = 0.3  # of what is taken off
 # No logarithm of a number is surer: curves between rows, and steps of whoever moved the
@@ -41,7 +41,7 @@ GROWS = 1.5
 def bias_of_steps(
     loops: Sequence[JointLoop], unknowns: Unknowns, solution: Solved
 ) -> Array:
-    """Return what the simulation's steps make of the numbers (p,), as they are searched.
+    """Return what the simulation's steps make of numbers (p,), as they are searched.
 
     Numbers that are the prior's move as little as the prior lets them.
     """

@@ -188,7 +188,7 @@ def simulate_drive(
     (n,) N m against the motion besides, a function of positions, speeds and the torque
     of gravity.
     """
-    model = mujoco.MjModel.from_xml_string(_mjcf(arm))
+    model = mujoco.MjModel.from_xml_string(mjcf_of(arm))
     data = mujoco.MjData(model)
     drive = arm.drive
     n = arm.robot.n
@@ -317,11 +317,11 @@ def _recording(
     )
 
 
-def _mjcf(arm: DrivenArm) -> str:
+def mjcf_of(arm: DrivenArm, *, step_s: float = STEP_S) -> str:
     """Write the arm as MJCF; link frames by the modified DH table."""
     head = (
         f'<mujoco><compiler angle="radian" boundmass="0" balanceinertia="false"/>'
-        f'<option timestep="{STEP_S}" gravity="0 0 -9.81" integrator="implicitfast">'
+        f'<option timestep="{step_s}" gravity="0 0 -9.81" integrator="implicitfast">'
         '<flag contact="disable"/></option><worldbody>'
     )
     body = ""
@@ -338,9 +338,9 @@ def _mjcf(arm: DrivenArm) -> str:
         body += (
             f'<body pos="{_text(origin)}" quat="{_text(quaternion)}">'
             f'<inertial pos="{_text(com)}" mass="{mass}" fullinertia="{_text(full)}"/>'
-            f'<joint axis="0 0 1" armature="{arm.armature[j]}"'
+            f'<joint name="joint_{j + 1}" axis="0 0 1" armature="{arm.armature[j]}"'
             f' frictionloss="{arm.coulomb[j]}"'
-            f' solreffriction="{2.0 * STEP_S} 1" solimpfriction="{HARD} {HARD} 1"/>'
+            f' solreffriction="{2.0 * step_s} 1" solimpfriction="{HARD} {HARD} 1"/>'
         )
     return head + body + "</body>" * arm.robot.n + "</worldbody></mujoco>"
 

@@ -19,7 +19,7 @@ import pytest
 import seqid_cli
 from seqid_cli.commands.app import COMMANDS
 from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS
-from tests.plants import strangers
+from tests.plants import so101, strangers
 from tests.unit.docs import keys
 from tests.unit.docs import kitchen as cooking
 from tests.unit.docs.kitchen import (
@@ -58,6 +58,7 @@ PREPARED: dict[str, dict[str, Path]] = {
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
     },
 }
+SO101 = "docs/how-to/so101.md"
 STRANGERS = ("docs/how-to/from_files.md", "docs/how-to/robots.md")
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {
@@ -82,6 +83,8 @@ def prepared(kitchen: Kitchen, name: str) -> Path:
             made.mkdir()
             strangers.make(made)
         shutil.copytree(made, folder, dirs_exist_ok=True)
+    if name == SO101 and not (folder / "so101").exists():
+        so101.make(folder / "so101")
     for path, sample in PREPARED.get(name, {}).items():
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

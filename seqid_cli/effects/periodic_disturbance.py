@@ -288,11 +288,14 @@ class PeriodicDisturbance(Effect):
         for near in strongest_lines(sliding, LOWEST_HZ, LINES, is_known=repeats):
             signals = signals_of(scenes, joint, residual, near)
             clocks = n_clocks
-            line = refined(signals, near) if on_one_clock else _by_log(signals, near)
+            of_each = [near] * len(scenes)
+            if on_one_clock:
+                line = refined(signals, near)
+                of_each = [line.frequency] * len(scenes)
             # The mains wander: from log to log nobody knows their phase.
-            if on_one_clock and line.coherence < COHERENT:
+            if not on_one_clock or line.coherence < COHERENT:
                 clocks = float(len(scenes))
-                line = _by_log(signals, near)
+                line, of_each = _by_log(signals, near)
 
             # A log in which the joint does not move tells nothing of it.
             told = [signal for signal in signals if np.any(signal.values)]
@@ -303,7 +306,10 @@ class PeriodicDisturbance(Effect):
             is_steady = line.coherence >= COHERENT and is_in_all
             if is_steady and not (
                 _is_of_motion(line.frequency, sliding, modelled)
-                or repeats(np.array([line.frequency])).any()
+                or all(
+                    repeats_with_motion(scene, np.array([frequency])).any()
+                    for scene, frequency in zip(scenes, of_each, strict=True)
+                )
             ):
                 yield {"frequency": line.frequency, "clocks": clocks, "span": span}
 
@@ -421,11 +427,15 @@ def _without_peaks(
     return clipped
 
 
-def _by_log(signals: Sequence[Signal], near: float) -> Line:
-    """Return frequency and coherence if only the phases within each log are known."""
+def _by_log(signals: Sequence[Signal], near: float) -> tuple[Line, list[float]]:
+    """Return a line if only the phases within each log are known.
+
+    Beside frequency and coherence of all logs stand the frequencies [Hz] of each.
+    """
     lines = [refined([signal], near) for signal in signals]
     frequencies = np.array([line.frequency for line in lines])
     # The variance of a line's frequency falls with the third power of its length.
     weight = np.array([signal.length_s**3 for signal in signals])
     frequency = float(np.sum(weight * frequencies) / np.sum(weight))
-    return Line(frequency, float(np.median([line.coherence for line in lines])))
+    coherence = float(np.median([line.coherence for line in lines]))
+    return Line(frequency, coherence), frequencies.tolist()

@@ -57,6 +57,8 @@ LEAST_NOISE = 1e-6
 ROUNDING = 1e-14
 # The search goes no further than so many spreads from the usual sizes.
 SEARCH_LIMIT = 5.0
+# By which the logarithm of the noise is below that of what is left of trials, at most.
+LOWEST_NOISE = float(np.log(3.0))
 # Newton's method is believed within this reach of its start, in logarithms.
 NEWTON_REACH = 0.3
 NEWTON_ROUNDS = 20
@@ -251,6 +253,13 @@ class Evidence:
         spreads = [SPREAD] * (len(USUAL_SHARES) + 1) + [DECAY_SPREAD] * 2
         self.spread = np.array(spreads)
 
+        # What functions of the position leave of a trial tells the noise. Far below it
+        # the likelihood is the difference of huge numbers, and anything.
+        self.highest_logs = SEARCH_LIMIT * self.spread
+        self.lowest_logs = -self.highest_logs
+        if n_free > 0:
+            self.lowest_logs[SEARCHED.index("noise")] = -LOWEST_NOISE
+
     def sizes(self, logs: Array) -> Sizes:
         """Return sizes from logarithms (10,) of their factors on the usual sizes."""
         values = (self.usual * np.exp(logs)).tolist()
@@ -313,14 +322,15 @@ class Evidence:
         from scipy.optimize import minimize
 
         start = np.zeros(len(self.usual))
-        furthest = SEARCH_LIMIT * self.spread
+        lowest = self.lowest_logs
+        highest = self.highest_logs
         logs: Array | None = None
         if near is not None:
             values = np.array([getattr(near, name) for name in SEARCHED])
-            start = np.log(values / self.usual).clip(-furthest, furthest)
+            start = np.log(values / self.usual).clip(lowest, highest)
             logs = self._polished(start)
         if logs is None:
-            bounds = [(-limit, limit) for limit in furthest.tolist()]
+            bounds = list(zip(lowest.tolist(), highest.tolist(), strict=True))
             climbed: Array = minimize(
                 self, start, jac=True, method="L-BFGS-B", bounds=bounds
             ).x
@@ -332,7 +342,8 @@ class Evidence:
     def _polished(self, logs: Array) -> Array | None:
         """Return the maximum by Newton's method: the likelihood is flat about it.
 
-        None beyond `NEWTON_REACH`, and where the likelihood is not curved down.
+        None beyond `NEWTON_REACH` and the limits of the search, and where the
+        likelihood is not curved down.
         """
         slope = self(logs)[1]
         difference = 1e-4
@@ -357,7 +368,8 @@ class Evidence:
                 bent = curvature @ step
                 curvature += np.outer(change, change) / (change @ step)
                 curvature -= np.outer(bent, bent) / (step @ bent)
-        return logs
+        is_within = np.all((logs >= self.lowest_logs) & (logs <= self.highest_logs))
+        return logs if is_within else None
 
     def _error_slopes(
         self,

@@ -95,4 +95,7 @@ def test_what_gravity_tells_lowers_the_errors_of_inertia(belief: Belief) -> None
     later = {p.name: p.std_error for p in session.stages["inertia"].parameters}
     moments = [name for name in by_itself.keys() & later.keys() if name.startswith("m")]
     assert len(moments) == 10  # the moves are too few to compare the inertias
-    assert max(later[name] / by_itself[name] for name in moments) < 0.5
+    # Both plans have moves of their own, which show one moment better than another.
+    ratios = np.array([later[name] / by_itself[name] for name in moments])
+    assert ratios.max() < 0.8
+    assert np.exp(np.mean(np.log(ratios))) < 0.35

@@ -429,13 +429,13 @@ def friction_columns(
     elif of_file.parameters:
         n_terms = len(of_file.parameters)
     else:
-        columns = surface.columns(scene.motion.q[part, joint], v)
-        known_to_be_unknown = columns[:, surface.below_slowest]
+        sign = np.sign(v)
+        columns = [surface_columns(scene, joint, part)]
+        if surface.below_slowest:
+            columns.append((surface.scaling.slower(v) * sign)[:, None])
         # a drag where friction was not identified
-        beyond = surface.scaling.faster(v) * np.sign(v)
-        return np.column_stack(
-            [columns[:, : surface.entries], known_to_be_unknown, beyond]
-        )
+        columns.append((surface.scaling.faster(v) * sign)[:, None])
+        return np.hstack(columns)
     terms = np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)
     return terms[:, :n_terms]
 
@@ -479,13 +479,17 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
     warmth = shown_warmth(joint)
     if warmth is not None:
         joint = with_term(joint, THERMAL, warmth.value, 0.0)
+    # Below the slowest trial both directions err alike: what is the same torque either
+    # way is known apart (`identify.nuisances`).
     covariance = np.array(joint.covariance)
+    of_surface = _held_where_tied(covariance)
     surface = FrictionSurface.from_stage(joint)
-    variances = np.diag(surface.covariance)[surface.below_slowest]
-    least = TIED**2 * np.max(np.diag(covariance), initial=0.0)
-    spread = np.sqrt(np.maximum(variances, least))
-    known = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0.0)
-    of_surface = block_diag(_held_where_tied(covariance), np.diag(known))
+    if surface.below_slowest:
+        variances = np.diag(surface.covariance)[surface.below_slowest]
+        least = TIED**2 * float(np.max(np.diag(covariance), initial=0.0))
+        variance = max(float(np.mean(variances)), least)
+        below = np.array([[1.0 / np.sqrt(variance) if variance > 0.0 else 0.0]])
+        of_surface = block_diag(of_surface, below)
     beyond = np.zeros((len(of_surface), size - of_surface.shape[1]))
     return np.hstack([of_surface, beyond])
 

@@ -1,6 +1,7 @@
 """What a diagnosis says beside its findings, and where more than noise is left."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import rms
 from seqid_cli.shares import percent
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 DEFLECTING = ("joint_elasticity", "backlash")
 OFFSET_SHOWS = 0.7  # of what is left: torque of a delay that is worth a note
@@ -214,16 +215,62 @@ def _free_base_notes(investigation: Investigation, robot: Robot) -> tuple[str, .
     return (note,)
 
 
-def _beside_terms(investigation: Investigation) -> Array:
-    """Return what the file and the terms leave (N, n) N m, one log after the other."""
+class _Left(NamedTuple):
+    """What is left at some of a joint's moving samples.
+
+    Attributes
+    ----------
+    share : float
+        Of the moving samples.
+    floors : float
+        RMS over what a right model leaves.
+    """
+
+    share: float
+    floors: float
+
+
+def _much_left(
+    investigation: Investigation, masks: Sequence[Mask], ordinary: Array
+) -> dict[int, _Left]:
+    """Return joints of which many samples are of a sort, and leave much.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    masks : sequence of (N, n) masks
+        By log, samples of the sort; only those count at which a joint slides.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
+
+    Returns
+    -------
+    dict of int to _Left
+        By joint.
+    """
     bases = investigation.ground.base.scene_bases
-    shown = investigation.model.shown()
-    return np.concatenate(
+    torque_by_scene = investigation.model.shown()
+    residual = np.concatenate(
         [
             of_scene.residual - of_terms
-            for of_scene, of_terms in zip(bases, shown, strict=True)
+            for of_scene, of_terms in zip(bases, torque_by_scene, strict=True)
         ]
     )
+    scenes = investigation.ground.stage.scenes
+    sliding = np.concatenate([scene.slides for scene in scenes])
+    of_sort = np.concatenate(masks) & sliding
+
+    much = {}
+    for joint in range(of_sort.shape[1]):
+        inside = of_sort[:, joint]
+        share = float(inside.sum() / max(int(sliding[:, joint].sum()), 1))
+        if share < OUTSIDE_NOTE:
+            continue
+        floors = rms(residual[inside, joint]) / max(ordinary[joint], 1e-12)
+        if floors > MORE_THAN_NOISE:
+            much[joint] = _Left(share=share, floors=floors)
+    return much
 
 
 def slow_notes(
@@ -231,39 +278,26 @@ def slow_notes(
 ) -> tuple[str, ...]:
     """Say which joints move slower than their friction trials and leave much there.
 
-    Parameters
-    ----------
-    investigation : Investigation
-        All that a diagnosis is made from.
-    robot : Robot
-        The arm.
-    ordinary : (n,) array
-        RMS that a right model leaves [N m; N where prismatic].
+    `ordinary` (n,) is the RMS that a right model leaves [N m; N where prismatic].
     """
     scenes = investigation.ground.stage.scenes
-    sliding = np.concatenate([scene.slides for scene in scenes])
-    speed = np.concatenate([np.abs(scene.motion.dq) for scene in scenes])
-    residual = _beside_terms(investigation)
-
+    slowest = np.array(
+        [
+            0.0 if surface is None else surface.scaling.speed[0]
+            for surface in scenes[0].model.surfaces
+        ]
+    )
+    is_slower = [np.abs(scene.motion.dq) < slowest for scene in scenes]
     notes = []
-    for joint, surface in enumerate(scenes[0].model.surfaces):
-        if surface is None:
-            continue
-        slowest = surface.scaling.speed[0]
-        is_slow = sliding[:, joint] & (speed[:, joint] < slowest)
-        share = is_slow.sum() / max(int(sliding[:, joint].sum()), 1)
-        if share < OUTSIDE_NOTE:
-            continue
-        times = rms(residual[is_slow, joint]) / max(ordinary[joint], 1e-12)
-        if times > MORE_THAN_NOISE:
-            unit = robot.joints[joint].unit("rad/s")
-            notes.append(
-                f"joint {robot.joint_names[joint]}: {percent(share, 0)} of its moving"
-                f" samples are slower than any friction trial ({slowest:.3g} {unit}),"
-                f" where the file lets friction stay as it is there; {times:.0f} times"
-                " what torque noise and encoder account for is left; identify friction"
-                " with slower trials"
-            )
+    for joint, left in _much_left(investigation, is_slower, ordinary).items():
+        slowest_trial = f"{slowest[joint]:.3g} {robot.joints[joint].unit('rad/s')}"
+        notes.append(
+            f"joint {robot.joint_names[joint]}: {percent(left.share, 0)} of its moving"
+            f" samples are slower than any friction trial ({slowest_trial}), where the"
+            f" file lets friction stay as it is there; {left.floors:.0f} times what"
+            " torque noise and encoder account for is left; identify friction with"
+            " slower trials"
+        )
     return tuple(notes)
 
 
@@ -272,35 +306,17 @@ def outside_notes(
 ) -> tuple[str, ...]:
     """Say which joints move beyond their identified friction and leave much there.
 
-    Parameters
-    ----------
-    investigation : Investigation
-        All that a diagnosis is made from.
-    robot : Robot
-        The arm.
-    ordinary : (n,) array
-        RMS that a right model leaves [N m; N where prismatic].
+    `ordinary` (n,) is the RMS that a right model leaves [N m; N where prismatic].
     """
-    scenes = investigation.ground.stage.scenes
-    sliding = np.concatenate([scene.slides for scene in scenes])
-    outside = np.concatenate(extrapolated(scenes)) & sliding
-    residual = _beside_terms(investigation)
-
-    notes = []
-    for joint, name in enumerate(robot.joint_names):
-        is_outside = outside[:, joint]
-        share = is_outside.sum() / max(int(sliding[:, joint].sum()), 1)
-        if share < OUTSIDE_NOTE:
-            continue
-        times = rms(residual[is_outside, joint]) / max(ordinary[joint], 1e-12)
-        if times > MORE_THAN_NOISE:
-            notes.append(
-                f"joint {name}: {percent(share, 0)} of its moving samples are at speeds"
-                f" or positions at which friction was not identified; {times:.0f} times"
-                " what torque noise and encoder account for is left there, and no"
-                " effect was looked for in it; identify friction with trials there"
-            )
-    return tuple(notes)
+    outside = extrapolated(investigation.ground.stage.scenes)
+    return tuple(
+        f"joint {robot.joint_names[joint]}: {percent(left.share, 0)} of its moving"
+        " samples are at speeds or positions at which friction was not identified;"
+        f" {left.floors:.0f} times what torque noise and encoder account for is left"
+        " there, and no effect was looked for in it; identify friction with trials"
+        " there"
+        for joint, left in _much_left(investigation, outside, ordinary).items()
+    )
 
 
 def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:

@@ -7,9 +7,9 @@ last as long as the log. No line there can be told from one of the motion.
 """
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.effects.scene import Scene
+from seqid_cli.spectra import correlated
 from seqid_cli.typing import Array, Mask
 
 # Mean square of the difference over that of both, from which positions have nothing to
@@ -77,9 +77,7 @@ def period_in_samples(q: Array) -> float:
 
 def _difference(x: Array, longest: int) -> Array:
     """Return the mean square of x(t + lag) - x(t) over that of both, by lag."""
-    size = next_fast_len(2 * len(x), real=True)
-    spectrum = rfft(x, size)
-    products = irfft(np.abs(spectrum) ** 2, size)[:longest]
+    products = correlated(x, x)[len(x) - 1 :][:longest]
     squares = np.concatenate([[0.0], np.cumsum(x**2)])
     lags = np.arange(longest)
     first = squares[len(x) - lags]

@@ -256,13 +256,13 @@ class Selection:
             channels = frozenset[int]().union(*(term.channels for term in terms))
             if not is_same or candidate.term.channels & channels or len(terms) == room:
                 continue
-            here = [
-                other
-                for other in passing
-                if other.term.channels & candidate.term.channels
+            at_its_channels = [
+                rival
+                for rival in passing
+                if rival.term.channels & candidate.term.channels
             ]
-            if self._simplest(here) is candidate:
-                terms.append(self._taken(candidate, here))
+            if self._simplest(at_its_channels) is candidate:
+                terms.append(self._taken(candidate, at_its_channels))
         return terms
 
     def _taken(self, chosen: ScoredTerm, passing: Sequence[ScoredTerm]) -> Term:

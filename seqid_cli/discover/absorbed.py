@@ -17,6 +17,7 @@ In shapes, N is the number of samples of a joint's trials, first ahead and then 
 that of the rigid base parameters, and k that of the effect's coefficients.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import product
@@ -24,7 +25,7 @@ from itertools import product
 import numpy as np
 
 from seqid_cli.discover.base import Base, has_trials, surface_columns
-from seqid_cli.effects.effect import Effect, Settings
+from seqid_cli.effects.effect import Columns
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.identify.nuisances import PRIORS, even_columns, friction_rms
 from seqid_cli.model.friction import FrictionSurface
@@ -75,18 +76,17 @@ class FileTrials:
         self._asymmetries: dict[int, _AsymmetryFit] = {}
 
     def absorbed(
-        self, effect: Effect, joint: Joint, settings: Settings
+        self, joint: Joint, steady_columns: Callable[[Scene], Columns]
     ) -> dict[int, Array]:
-        """Return what the file has absorbed per unit of an effect.
+        """Return what the file has absorbed per unit of a term.
 
         Parameters
         ----------
-        effect : Effect
-            One that steady motion shows.
         joint : int or None
             Where it is; None for the whole arm.
-        settings : Settings
-            Its settings.
+        steady_columns : callable
+            Its torque (N, k) by joint per unit coefficient, of a scene of motions at
+            constant speeds.
 
         Returns
         -------
@@ -94,7 +94,7 @@ class FileTrials:
             Coefficients of the rigid body (0), and of the friction of joints (from 1).
         """
         first = joint or 0
-        at_first = effect.steady_columns(self._trials(first), joint, settings)
+        at_first = steady_columns(self._trials(first))
         absorbed: dict[int, Array] = {}
         in_gravity: dict[int, Array] = {}
         for touched in at_first:
@@ -103,8 +103,7 @@ class FileTrials:
             if touched == first:
                 columns = at_first[touched]
             else:
-                trials = self._trials(touched)
-                columns = effect.steady_columns(trials, joint, settings)[touched]
+                columns = steady_columns(self._trials(touched))[touched]
 
             # Trials go back the way they came: reversed, they are the other direction.
             odd = 0.5 * (columns - columns[::-1])
@@ -123,7 +122,9 @@ class FileTrials:
             return {0: np.sum(of_joints, axis=0), **absorbed}
         return absorbed
 
-    def beside(self, columns: Array, joint: int, absorbed: dict[int, Array]) -> Array:
+    def beside(
+        self, columns: Array, joint: int, absorbed: Mapping[int, Array]
+    ) -> Array:
         """Return columns of an effect on a joint's rows less the file's part.
 
         Parameters

@@ -428,15 +428,27 @@ class CandidateColumns:
         file = self.file
         if candidate.absorbed in ("", "torque") or file is None:
             return {}, columns
-        absorbed = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+
+        def steady_columns(scene: Scene) -> Columns:
+            effect, joint = candidate.effect, candidate.joint
+            return effect.steady_columns(scene, joint, candidate.settings)
+
+        absorbed = file.absorbed(candidate.joint, steady_columns)
         if candidate.absorbed == "friction":
             absorbed = {number: a for number, a in absorbed.items() if number}
+        return absorbed, self.beside_file(columns, absorbed)
+
+    def beside_file(
+        self, columns: Channels, absorbed: Mapping[int, Array]
+    ) -> dict[int, Array]:
+        """Return columns of a term less what the file has absorbed of it."""
+        assert self.file is not None
         beside_file = {
-            joint: file.beside(X, joint, absorbed)
+            joint: self.file.beside(X, joint, absorbed)
             for joint, X in columns.items()
             if joint < self.rows.n
         }
-        return absorbed, {**columns, **beside_file}
+        return {**columns, **beside_file}
 
 
 def _columns_in_log(

@@ -49,6 +49,7 @@ UNITS = {
     "time": ("s", "s"),
     "time_frequency": ("Hz", "Hz"),
     "speed": ("rad/s", "m/s"),
+    "recent_speed": ("rad/s", "m/s"),
     "driving_load": ("N m", "N"),
     "wave": ("turn", "turn"),
     "torque": ("N m", "N"),

@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise, takewhile
-from math import isfinite, prod
+from math import inf, isfinite, prod
 from typing import ClassVar, Literal, Self, cast, get_args
 
 import numpy as np
 
+from seqid_cli.effects.memory import lagged
 from seqid_cli.effects.scene import Scene
 from seqid_cli.effects.units import UNEXPLAINED
 from seqid_cli.errors import ConfigError
@@ -31,6 +32,7 @@ Measure = Literal[
     "position",
     "velocity",
     "speed",
+    "recent_speed",
     "acceleration",
     "load",
     "load_size",
@@ -40,6 +42,8 @@ Measure = Literal[
 ]
 Factor = Literal["one", "direction"]
 MEASURES: tuple[str, ...] = get_args(Measure)
+# What does not follow from the motion around a moment.
+NOT_LOCAL = {"temperature", "time", "recent_speed"}
 FACTORS: tuple[str, ...] = get_args(Factor)
 
 DEGREE = 3
@@ -56,16 +60,21 @@ class Axis:
     ----------
     measure : Measure
         The quantity: `speed` and `load_size` are magnitudes, `time` counts from the
-        log's start and `session_time` on the clock of all logs.
+        log's start and `session_time` on the clock of all logs. `recent_speed` is the
+        speed after a first-order low-pass: what a motion that is just over has warmed,
+        or stirred.
     joint : int
         Index of its joint; of no matter for times.
     knots : tuple of float
         Ends of the spline's pieces, ascending, in the unit of the quantity.
+    seconds : float
+        Time constant of the recent speed [s]; of no matter for others.
     """
 
     measure: Measure
     joint: int
     knots: tuple[float, ...] = ()
+    seconds: float = 0.0
 
     @property
     def size(self) -> int:
@@ -83,6 +92,9 @@ class Axis:
                 return motion.dq[:, j]
             case "speed":
                 return np.abs(motion.dq[:, j])
+            case "recent_speed":
+                speed = np.abs(motion.dq[:, [j]])
+                return lagged(speed, self.seconds, motion.rate_hz)[:, 0]
             case "acceleration":
                 return motion.ddq[:, j]
             case "load":
@@ -185,7 +197,7 @@ class SmoothTerm:
     @property
     def local(self) -> bool:
         """True if its torque at a moment follows from the motion around it."""
-        return not {axis.measure for axis in self.axes} & {"temperature", "time"}
+        return not {axis.measure for axis in self.axes} & NOT_LOCAL
 
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Compute the torque (N,) N m of its joint, unfiltered.
@@ -205,6 +217,8 @@ class SmoothTerm:
         for number, axis in enumerate(self.axes, start=1):
             settings[f"axis_{number}"] = axis.measure
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]
+            if axis.measure == "recent_speed":
+                settings[f"axis_{number}_seconds"] = axis.seconds
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
 
@@ -289,7 +303,17 @@ def _axis(key: str, name: str, entry: EffectOfJoint, robot: Robot) -> Axis:
         )
         raise damaged(f"{key}.settings.{name}_knot", problem)
     joint = robot.joint_names.index(joint_name)
-    return Axis(cast(Measure, measure), joint, tuple(knots))
+    seconds = 0.0
+    if measure == "recent_speed":
+        seconds = _seconds(f"{key}.settings.{name}", settings.get(f"{name}_seconds"))
+    return Axis(cast(Measure, measure), joint, tuple(knots), seconds)
+
+
+def _seconds(key: str, value: object) -> float:
+    """Return a time constant [s] that must be a positive number."""
+    if isinstance(value, int | float) and 0.0 < value < inf:
+        return float(value)
+    raise damaged(f"{key}_seconds", f"must be a positive number, is {value!r}")
 
 
 def _member(key: str, value: object, allowed: Sequence[str]) -> str:

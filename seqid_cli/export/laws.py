@@ -162,7 +162,10 @@ class _Writer:
         code.splines = True
         code.based |= bool(measures & {"load", "load_size"})
 
-        quantities = [self._axis(axis) for axis in term.axes]
+        body: list[str] = []
+        quantities = [
+            self._axis(axis, number, body) for number, axis in enumerate(term.axes)
+        ]
         sizes = [axis.size for axis in term.axes]
         # Either end counts as a knot so many times more.
         knots = [
@@ -186,7 +189,7 @@ class _Writer:
             quantities[1],
             "smooth",
         )
-        body = [
+        body += [
             *self._table("knots_1", knots[0]),
             *self._table("knots_2", knots[1]),
             *self._table("smooth", term.coefficients),
@@ -197,7 +200,7 @@ class _Writer:
         temperatures = [
             axis.joint for axis in term.axes if axis.measure == "temperature"
         ]
-        timed = measures & {"temperature", "time", "session_time"}
+        timed = measures & {"temperature", "time", "session_time", "recent_speed"}
         lines = code.session if timed else code.instant
         lines += syntax.block(title, body, self._if_measured(temperatures))
 
@@ -220,14 +223,19 @@ class _Writer:
         yield f"    {rows[-1]}"
         yield "};"
 
-    def _axis(self, axis: Axis) -> str:
-        """Write the quantity of a smooth term's axis."""
+    def _axis(self, axis: Axis, number: int, body: list[str]) -> str:
+        """Write the quantity of a smooth term's axis, and in the body what it needs."""
         if axis.measure == "session_time":
             return "time"
         if axis.measure == "time":
             return f"{self.syntax.state}clock"
         if axis.measure == "temperature":
             return f"temperature[{axis.joint}]"
+        if axis.measure == "recent_speed":
+            name = f"recent_{number + 1}"
+            speed = self.syntax.call("abs", self._quantity(axis.joint, "dq"))
+            body += self._lagged(name, speed, axis.seconds)
+            return name
         tree = tree_of(MEASURED[axis.measure])
         return self.syntax.term(tree, lambda name: self._quantity(axis.joint, name))
 
@@ -357,7 +365,8 @@ class _Writer:
             case Averaged(seconds=seconds):
                 return self._averaged(j, name, seconds)
             case Lagged(seconds=seconds):
-                return self._lagged(j, name, seconds)
+                self.code.based = True
+                return self._lagged(name, f"modelled[{j}]", seconds)
             case FrictionSlope():
                 return self._friction_slope(j, name, memory)
 
@@ -402,15 +411,14 @@ class _Writer:
             text = f"self._averaged({j}, {real(seconds)})"
         return [self.syntax.value(name, text)]
 
-    def _lagged(self, j: int, name: str, seconds: float) -> list[str]:
-        """Write the modelled torque after a first-order low-pass."""
+    def _lagged(self, name: str, quantity: str, seconds: float) -> list[str]:
+        """Write a quantity after a first-order low-pass, settled at the start."""
         syntax = self.syntax
         slot = self._slot("lag", self.code.lags)
         self.code.lags += 1
-        self.code.based = True
         way = f"dt / {real(seconds)}"
         begins = f"{syntax.state}clock == 0.0"
-        call = syntax.call("lag", slot, f"modelled[{j}]", way, begins)
+        call = syntax.call("lag", slot, quantity, way, begins)
         return [syntax.value(name, call)]
 
     def _rate(self, j: int, name: str, rate: Rate) -> list[str]:

@@ -352,7 +352,9 @@ def fitted_smooth(
         rows_of(scenes), model.stages, material.selection_options
     )
     fit = Model(ground, FIRM)
-    term = smooth_term(fit.ground.stage, function, fit.ground.size)
+    # The stages are what they are: what they have absorbed is no part of it.
+    beside_stages = replace(function, absorbed=False)
+    term = smooth_term(fit.ground.stage, beside_stages, fit.ground.size)
     fit.terms.append(term)
     fit.settle()
     fitted = function.fitted(fit.coefficients(term)[: function.size])

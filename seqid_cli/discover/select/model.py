@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
-from seqid_cli.discover.base import Base, base_of
+from seqid_cli.discover.base import Base, base_of, has_trials
 from seqid_cli.discover.candidates import (
     Candidate,
     CandidateColumns,
@@ -30,7 +30,11 @@ from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import ColumnGroup, Observations
-from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
+from seqid_cli.discover.select.smooth import (
+    SmoothFunction,
+    smooth_functions,
+    smooth_products,
+)
 from seqid_cli.discover.select.terms import Term, effects, smooth_term
 from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.discover.survey.rows import Rows
@@ -237,6 +241,22 @@ class SelectionProblem:
         if key not in self._smooth:
             self._smooth[key] = self._new_smooth_terms(joint, products=products)
         return self._smooth[key]
+
+    def absorbed_terms(self, terms: Sequence[Term]) -> list[Term]:
+        """Return smooth functions as they are if they were there in the file's trials.
+
+        Only of those that steady motion shows, at joints with trials.
+        """
+        scene = self.stage.scenes[0]
+        absorbed = []
+        for term in terms:
+            function = term.what
+            if not isinstance(function, SmoothFunction) or function.absorbed:
+                continue
+            if function.steady and has_trials(scene, function.joint):
+                in_trials = replace(function, absorbed=True)
+                absorbed.append(smooth_term(self.stage, in_trials, self.size))
+        return absorbed
 
     def _new_smooth_terms(self, joint: int, *, products: bool) -> list[Term]:
         if not self.stage.rows.count(joint):

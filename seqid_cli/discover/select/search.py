@@ -176,7 +176,10 @@ class Search:
                 free = [term for term in terms if term.key not in excluded]
                 at_joint += _fitted(linear, free)
             at_joint.sort(key=lambda each: -each.evidence)
-            best += at_joint[:SMOOTH_SHORTLIST]
+            shortlist = at_joint[:SMOOTH_SHORTLIST]
+            absorbed = ground.absorbed_terms([each.term for each in shortlist])
+            both_ways = [*shortlist, *_fitted(linear, absorbed)]
+            best += best_of(both_ways, lambda each: each.term.key)
         return best
 
     def _tuner(self, linear: LinearModel) -> Tuner:

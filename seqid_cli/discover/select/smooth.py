@@ -6,7 +6,7 @@ Demmler and Reinsch 1975), the constant first: not every base has an offset.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -31,10 +31,23 @@ EDGE = 0.01
 STILL = 1e-9  # range of a quantity, relative to its size, below which it has not moved
 RIDGE = 1e-6  # of the splines' mean square: for pieces that hold no rows
 SLOW = {"position", "velocity", "temperature", "time", "session_time"}
+STEADY = {"position", "velocity", "speed", "load", "load_size"}
 # what other joints may do to a joint: where they are, and how they move
 MOTION: tuple[Measure, ...] = ("position", "velocity", "acceleration")
+# What may change a joint's friction, each with the quantity that it is told as: where
+# the joint is, what it carries, how fast it is. Its own, or that of another joint: it
+# rubs more where rails are not parallel, where a neighbour bends its bearing, or where
+# one of two shafts runs inside the other.
+RUBS: tuple[tuple[Measure, str], ...] = (
+    ("position", "position"),
+    ("load_size", "load"),
+    ("speed", "velocity"),
+)
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
+# Over which a joint's speed is averaged: what motion stirs or warms and rest undoes
+# again, within seconds. What lasts for minutes is a function of time in these logs.
+RECENT_S = (2.0, 6.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,6 +68,9 @@ class SmoothFunction:
         What the function is multiplied by (see `model.effects.smooth.shape`).
     mixing : (K, k) array
         Combinations of the splines over the axes.
+    absorbed : bool
+        It was there in the trials of the file's friction and gravity, which have
+        absorbed a part of it (see `FileTrials`).
     """
 
     joint: int
@@ -63,6 +79,12 @@ class SmoothFunction:
     axes: tuple[Axis, ...]
     factor: Factor
     mixing: Array
+    absorbed: bool = False
+
+    @property
+    def steady(self) -> bool:
+        """Whether motion at constant speeds shows it, as trials of friction are."""
+        return {axis.measure for axis in self.axes} <= STEADY
 
     @property
     def size(self) -> int:
@@ -96,6 +118,11 @@ class SmoothFunction:
             basis = basis * rows.of(joint, sign)
         return rows.whitened(joint, basis @ self.mixing)
 
+    def steady_columns(self, scene: Scene) -> dict[int, Array]:
+        """Compute columns (N, k) at constant speeds: samples are places, not times."""
+        functions = shape(scene, self.joint, self.axes, self.factor)
+        return {self.joint: functions @ self.mixing}
+
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
         """Return the low-passed torque (N,) N m of coefficients c (k,), by joint."""
         torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
@@ -120,6 +147,7 @@ class _Question:
     owner: int  # the joint whose quantity it is
     quantities: tuple[str, ...]
     label: str
+    seconds: float = 0.0  # of a recent speed
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
@@ -151,14 +179,16 @@ def _questions_of_own_motion(joint: int) -> Iterator[_Question]:
     for measure in measures:
         yield _Question(measure, joint, (measure,), measure)
 
-    sided: tuple[tuple[Measure, str], ...] = (
-        ("position", "position"),
-        ("load_size", "load"),
-        ("speed", "velocity"),
-        ("temperature", "temperature"),
-    )
+    sided: tuple[tuple[Measure, str], ...] = (*RUBS, ("temperature", "temperature"))
     for measure, name in sided:
         yield _Question(measure, joint, (name, "direction"), f"{name} x direction")
+
+    for seconds in RECENT_S:
+        label = f"speed of the last {seconds:g} s"
+        for quantities in (("velocity", "time"), ("velocity", "time", "direction")):
+            is_sided = "direction" in quantities
+            sided_label = f"{label} x direction" if is_sided else label
+            yield _Question("recent_speed", joint, quantities, sided_label, seconds)
 
 
 def _questions_of_other_joints(rows: Rows, joint: int) -> Iterator[_Question]:
@@ -169,9 +199,9 @@ def _questions_of_other_joints(rows: Rows, joint: int) -> Iterator[_Question]:
         quantity = f"other_joint:{name}"
         for measure in MOTION:
             yield _Question(measure, other, (quantity,), f"{measure} of {name}")
-        # It rubs more where another joint stands, as rails do that are not parallel.
-        label = f"position of {name} x direction"
-        yield _Question("position", other, (quantity, "direction"), label)
+        for measure, named in RUBS:
+            label = f"{named} of {name} x direction"
+            yield _Question(measure, other, (quantity, "direction"), label)
 
 
 def _questions_of_time(rows: Rows, joint: int) -> Iterator[_Question]:
@@ -188,7 +218,8 @@ def _smooth_function(
     rows: Rows, joint: int, question: _Question
 ) -> SmoothFunction | None:
     """Return a function of one quantity; None where that is not known or constant."""
-    axis, x = _axis(rows, joint, question.measure, question.owner, SIZE - 1)
+    of_quantity = Axis(question.measure, question.owner, seconds=question.seconds)
+    axis, x = _axis(rows, joint, of_quantity, SIZE - 1)
     if axis is None:
         return None
     combinations = smoothest(splines(x, axis.knots), greville(axis.knots))
@@ -209,13 +240,12 @@ def _values_of(axis: Axis, scenes: Sequence[Scene]) -> list[Array]:
 
 
 def _axis(
-    rows: Rows, joint: int, measure: Measure, owner: int, size: int
+    rows: Rows, joint: int, without_knots: Axis, size: int
 ) -> tuple[Axis | None, Array]:
     """Return an axis with `size` + 1 splines over the joint's rows, and the quantity.
 
     The axis is None where some data set lacks the quantity, or it hardly varies.
     """
-    without_knots = Axis(measure, owner)
     values = _values_of(without_knots, rows.scenes)
     if len(values) < len(rows.scenes):
         return None, np.zeros(0)
@@ -223,7 +253,7 @@ def _axis(
     knots = knots_of(x, rows.fold[rows.blocks_of(joint)], size - 1)
     if knots is None:
         return None, x
-    return Axis(measure, owner, knots), x
+    return replace(without_knots, knots=knots), x
 
 
 def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
@@ -232,14 +262,14 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
     measures: tuple[Measure, ...] = ("position", "velocity")
     functions = []
     for measure in measures:
-        axis, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
+        axis, x = _axis(rows, j, Axis(measure, j), TENSOR_SIZE - 1)
         if axis is None:
             continue
         U = smoothest(splines(x, axis.knots), greville(axis.knots))
         for k in range(rows.n):
             if k == j:
                 continue
-            other_axis, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
+            other_axis, z = _axis(rows, j, Axis(measure, k), TENSOR_SIZE - 1)
             if other_axis is None:
                 continue
             V = smoothest(splines(z, other_axis.knots), greville(other_axis.knots))

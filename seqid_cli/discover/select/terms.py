@@ -151,6 +151,11 @@ def smooth_term(stage: CandidateColumns, function: SmoothFunction, size: Array) 
     columns = stage.with_drive({joint: function.columns(stage.rows)})
     if len(columns) > 1 and "load" in function.quantities:
         del columns[joint]
+    in_file: dict[int, Array] = {}
+    beside_file = columns
+    if function.absorbed and stage.file is not None:
+        in_file = stage.file.absorbed(joint, function.steady_columns)
+        beside_file = stage.beside_file(columns, in_file)
     first_column = {
         channel: function.size
         for channel in columns
@@ -162,9 +167,12 @@ def smooth_term(stage: CandidateColumns, function: SmoothFunction, size: Array) 
     place = np.arange(1.0, function.size + 1.0)
     of_columns = np.sqrt(place) if len(function.axes) > 1 else place
     bending = np.tile(of_columns, len(columns))
-    precision = _precision(columns, size, first_column) * bending**2
+    precision = _precision(beside_file, size, first_column) * bending**2
     part = ColumnGroup(
-        columns=columns, precision=np.diag(precision), first_column=first_column
+        columns=columns,
+        precision=np.diag(precision),
+        first_column=first_column,
+        absorbed_by_file=in_file,
     )
     return Term(function, part)
 

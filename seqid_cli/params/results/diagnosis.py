@@ -25,7 +25,10 @@ DiagnosisVerdict = Literal[
     "nothing_seen",
 ]
 _NOT_WHITE = "not white"
-_MEASURES = {"driving_load": "load times direction"}
+_MEASURES = {
+    "driving_load": "load times direction",
+    "recent_speed": "speed of the last seconds",
+}
 # Times what a right model leaves; on clean simulated arms 1.0 to 1.5.
 MORE_THAN_NOISE = 2.5
 

@@ -11,6 +11,8 @@ from seqid_cli.discover.absorbed import FileTrials, _steady
 from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import SelectionProblem
+from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.discover.select.terms import smooth_term
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects import measurement
 from seqid_cli.effects.measurement import steady_change
@@ -29,7 +31,13 @@ from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
-from tests.unit.discover.arms import arm_scenes, at_joint, drag, selected
+from tests.unit.discover.arms import (
+    arm_scenes,
+    at_joint,
+    drag,
+    ground_of,
+    selected,
+)
 
 SAMPLES = ROOT / "sample_logs"
 ORDERS = FrictionOptions(position_order=4, velocity_order=3)
@@ -89,7 +97,9 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
     (scene,) = scenes_of(logs[:1], robot, without, options=InertiaOptions())
     ground = SelectionProblem.of(rows_of([scene]), without)
     trials = FileTrials(ground.stage.scenes[0], ground.base, without)
-    taken = trials.absorbed(CATALOGUE[name], j, settings)
+    taken = trials.absorbed(
+        j, lambda scene: CATALOGUE[name].steady_columns(scene, j, settings)
+    )
     if stage == "friction":
         speed = np.abs(scene.motion.dq[:, j])
         columns = surface_columns(scene, j)[(speed > SLOWEST) & (speed < FASTEST)]
@@ -173,6 +183,50 @@ def test_a_steady_change_asks_for_friction_of_its_own_joints_alone(
 def test_a_file_without_trials_has_absorbed_nothing() -> None:
     found = selected(arm_scenes(at_joint(0, drag)), ["quadratic_drag"])
     assert [one.term.what.absorbed for one in found.terms] == [""]
+
+
+@pytest.mark.slow
+def test_the_file_has_a_smooth_function_of_the_load_as_friction() -> None:
+    sample, own = ONE
+    arm = sample_arm(sample, own)
+    j = arm.robot.joint_names.index(own)
+    scenes = scenes_of(arm.logs, arm.robot, arm.stages, options=InertiaOptions())
+    ground = SelectionProblem.of(rows_of(scenes), arm.stages)
+    labels = {term.name: term.what for term in ground.smooth_terms(j)}
+    function = labels["load x direction"]
+    assert isinstance(function, SmoothFunction)
+
+    # A constant is Coulomb friction: what bends is the load's.
+    size = np.zeros(function.size)
+    size[1:4] = (0.03, 0.01, -0.01)
+    changed = []
+    for log, scene in zip(arm.logs, scenes, strict=True):
+        torque = function.steady_columns(scene.full or scene)[j] @ size
+        changed.append(
+            replace(log, tau=log.tau + np.outer(torque, np.eye(arm.robot.n)[j]))
+        )
+    with_it = stages_of(*changed, arm.robot)
+
+    (term,) = ground.absorbed_terms([smooth_term(ground.stage, function, ground.size)])
+    said = term.part.absorbed_by_file[1 + j] @ size
+    before, after = (
+        entries_of(stages.friction.joints[own]) for stages in (arm.stages, with_it)
+    )
+    speed = np.abs(scenes[0].motion.dq[:, j])
+    is_steady = (speed > SLOWEST) & (speed < FASTEST)
+    columns = surface_columns(scenes[0], j)[is_steady]
+    found = columns @ (after - before)
+    assert np.std(found) > 0.0
+    assert np.linalg.norm(columns @ said - found) < 0.05 * np.linalg.norm(found)
+
+
+def test_what_steady_motion_does_not_show_is_in_no_file() -> None:
+    ground = ground_of(arm_scenes())
+    accelerating = [
+        term for term in ground.smooth_terms(0) if term.name == "acceleration"
+    ]
+    assert accelerating
+    assert ground.absorbed_terms(accelerating) == []
 
 
 def test_trials_know_no_temperature_of_the_logs() -> None:

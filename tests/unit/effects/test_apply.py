@@ -278,7 +278,10 @@ KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)
 
 
 def a_term() -> SmoothTerm:
-    axes = (Axis("position", 1, KNOTS), Axis("velocity", 0, (-2.0, 0.0, 1.0)))
+    axes = (
+        Axis("position", 1, KNOTS),
+        Axis("recent_speed", 0, (0.0, 0.5, 1.0), seconds=2.0),
+    )
     c = np.random.default_rng(3).normal(size=axes[0].size * axes[1].size)
     return SmoothTerm(
         joint=1,
@@ -320,6 +323,8 @@ def test_a_term_survives_the_file_and_counts_when_asked() -> None:
         ({"axis_1_knot_0": 7.0}, 0, "axis_1"),
         ({"axis_1_knot_2": float("inf")}, 0, "axis_1"),
         ({"axis_1_knot_1": "x"}, 0, "axis_1"),
+        ({"axis_2_seconds": 0.0}, 0, "axis_2_seconds"),
+        ({"axis_2_seconds": "long"}, 0, "axis_2_seconds"),
         ({"factor": "luck"}, 0, "factor"),
         ({}, 1, "expected 35"),
     ],

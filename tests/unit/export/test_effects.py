@@ -230,6 +230,10 @@ SMOOTH = {
         (Axis("time", 0, (0.0, 2.0, 4.0)), Axis("velocity", 0, (-2.0, 2.0))),
         "one",
     ),
+    "recent speed": (
+        (PLACE, Axis("recent_speed", 0, (0.0, 0.3, 1.0), seconds=0.5)),
+        "direction",
+    ),
     "session": ((Axis("session_time", 0, (40.0, 42.0, 46.0)),), "direction"),
 }
 

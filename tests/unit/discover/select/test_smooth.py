@@ -10,7 +10,7 @@ from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
-from seqid_cli.effects.smooth import Axis, Measure, SmoothTerm
+from seqid_cli.effects.smooth import Axis, SmoothTerm
 from tests import Array
 from tests.unit.discover.arms import (
     Extra,
@@ -28,6 +28,17 @@ def bump(scene: Scene) -> Array:
     return 0.9 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.2) ** 2))
 
 
+def stirred(scene: Scene, seconds: float) -> Array:
+    """Recent speed (N,) of the second joint: one step of Euler's after the other."""
+    speed = np.abs(scene.motion.dq[:, 1])
+    recent = np.empty_like(speed)
+    recent[0] = speed[0]
+    for k in range(1, len(speed)):
+        step = 1.0 / (seconds * scene.motion.rate_hz)
+        recent[k] = recent[k - 1] + step * (speed[k] - recent[k - 1])
+    return recent
+
+
 LAWS = [
     (bump, {"position"}),
     (lambda s: 0.3 * np.sin(4 * s.motion.dq[:, 0] + 0.6), {OTHER}),
@@ -37,6 +48,20 @@ LAWS = [
     ),
     # It rubs more where the other joint stands further out.
     (lambda s: 0.3 * s.sign[:, 1] * np.sin(2 * s.motion.q[:, 0]), {OTHER, "direction"}),
+    # It rubs more the faster the other joint turns, and the more that one carries.
+    (
+        lambda s: 0.2 * s.sign[:, 1] * np.abs(s.motion.dq[:, 0]),
+        {OTHER, "direction"},
+    ),
+    (
+        lambda s: 0.02 * s.sign[:, 1] * np.abs(s.load[:, 0]),
+        {OTHER, "direction"},
+    ),
+    # Grease that the last seconds have stirred.
+    (
+        lambda s: 0.8 * s.sign[:, 1] * stirred(s, 3.0),
+        {"velocity", "time", "direction"},
+    ),
     (lambda s: 0.5 * (s.motion.ddq[:, 1] / 8) ** 3, {"acceleration"}),
     (
         lambda s: 0.4 * np.sin(2 * s.motion.q[:, 1]) * np.cos(3 * s.motion.q[:, 0]),
@@ -65,10 +90,10 @@ def test_an_axis_of_two_quantities_is_made_once(
     axis = smooth._axis
 
     def counted(
-        rows: Rows, joint: int, measure: Measure, owner: int, size: int
+        rows: Rows, joint: int, without_knots: Axis, size: int
     ) -> tuple[Axis | None, Array]:
-        made.append((measure, owner))
-        return axis(rows, joint, measure, owner, size)
+        made.append((without_knots.measure, without_knots.joint))
+        return axis(rows, joint, without_knots, size)
 
     monkeypatch.setattr(smooth, "_axis", counted)
     functions = smooth.smooth_products(rows, 1)
@@ -115,11 +140,12 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     np.testing.assert_allclose(what.torques(scene, c)[1], expected, atol=1e-9)
 
 
-def test_a_joint_at_rest_is_no_quantity() -> None:
+def test_of_a_joint_at_rest_the_load_alone_is_a_quantity() -> None:
     scenes = related_scenes(0, logs=2, seconds=8.0)
     for scene in scenes:
         scene.motion.q[:, 0] = 0.3
         scene.motion.dq[:, 0] = scene.motion.ddq[:, 0] = 0.0
     labels = {one.label for one in smooth_functions(rows_of(scenes), 1)}
     assert "position" in labels
-    assert not [label for label in labels if "joint_1" in label]
+    of_other = [label for label in labels if "joint_1" in label]
+    assert of_other == ["load of joint_1 x direction"]

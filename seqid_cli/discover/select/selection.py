@@ -298,14 +298,18 @@ class Selection:
 
     def as_good(self, candidate: ScoredTerm, best: ScoredTerm) -> bool:
         """Return whether a term at one of the same channels is not clearly behind."""
-        options = self.options
+        lag = best.score.total - candidate.score.total
+        negligible = self.options.negligible_share * best.score.total
+        is_near = lag <= negligible or self._is_behind_by_chance(candidate, best)
+        return is_near and bool(candidate.term.channels & best.term.channels)
+
+    def _is_behind_by_chance(self, candidate: ScoredTerm, best: ScoredTerm) -> bool:
+        """Return whether a term is behind by no more than noise may make it."""
         lag = best.score.total - candidate.score.total
         # Standard errors by which the doubt is no more than that.
-        n_errors = -float(ndtri(options.alpha))
+        n_errors = -float(ndtri(self.options.alpha))
         difference = best.score.block_gains - candidate.score.block_gains
-        chance = n_errors * scatter(difference)
-        is_near = lag <= max(chance, options.negligible_share * best.score.total, 1.0)
-        return is_near and bool(candidate.term.channels & best.term.channels)
+        return lag <= max(n_errors * scatter(difference), 1.0)
 
     def eliminate(self) -> set[Key]:
         """Remove, the weakest first, what is not worth it beside all others."""
@@ -549,7 +553,9 @@ class Selection:
     def _name_at_joints(self) -> None:
         """Name an effect of two joints at the one whose residual it explains most.
 
-        Where both of its names do as well, the residual decides, and not noise.
+        Where both of its names do as well, the residual decides, and not noise. They
+        differ in whose own friction turns with both joints: a name that is surely
+        behind leaves that friction for another term to explain.
         """
         model = self.model
         for number, term in enumerate(model.terms):
@@ -571,7 +577,7 @@ class Selection:
             as_good = [
                 scored
                 for scored in _scored(without, fitted)
-                if self.as_good(scored, again(term, model))
+                if self._is_behind_by_chance(scored, again(term, model))
             ]
             if as_good:
                 self._search.changed(term)
@@ -589,10 +595,11 @@ class Selection:
         for term in self.model.terms:
             if term is not result.term and not is_wide(term):
                 keys.add(term.key)
-        # An effect of two joints has its joint already (see `_name_at_joints`).
-        mirrored = _mirrored(result.term)
-        if mirrored is not None:
-            keys.add((result.term.name, mirrored.joint))
+            # An effect of two joints has its joint already (see `_name_at_joints`):
+            # at the other one it is no second effect.
+            mirrored = _mirrored(term)
+            if mirrored is not None:
+                keys.add((term.name, mirrored.joint))
 
         free = [
             rival

@@ -185,17 +185,37 @@ def test_minus_a_body_is_no_payload() -> None:
     assert ("payload", None) not in keys(found)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drive", [0, 1])
-def test_a_coupled_pair_is_named_once(drive: int) -> None:
-    """Whichever joint's drive it is: the two have the same columns."""
+COUPLED = np.array([1.5, 0.3, 0.02])  # N m, N m s/rad, kg m^2
+
+
+def coupling(drive: int) -> Extra:
+    """Torque of a drive of one joint that turns with the other one as well."""
 
     def coupled(scene: Scene) -> Array:
         settings = {"neighbour": 1.0 - 2.0 * drive, "ratio": 1.0}
         X = CATALOGUE["transmission_coupling"].columns(scene, drive, settings)
-        c = np.array([1.5, 0.3, 0.02])
-        return np.stack([X[j] @ c for j in (0, 1)], axis=1)
+        return np.stack([X[j] @ COUPLED for j in (0, 1)], axis=1)
 
+    return coupled
+
+
+@pytest.mark.slow
+def test_a_coupled_pair_is_named_where_the_file_tells_whose_friction_it_is() -> None:
+    """It makes far more torque beside the noise at the other joint."""
+    scenes = arm_scenes(coupling(0))
+    file = file_of(scenes[0])
+    effects = ["transmission_coupling", "friction_change"]
+    (taken,) = selected(scenes, effects, stages=file).terms
+    assert taken.term.key == ("transmission_coupling", 0)
+    coefficients = taken.model.coefficients(taken.term)
+    np.testing.assert_allclose(coefficients, COUPLED, rtol=0.1, atol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", [0, 1])
+def test_a_coupled_pair_is_named_once(drive: int) -> None:
+    """Whichever joint's drive it is: the two have the same columns."""
+    coupled = coupling(drive)
     scenes = arm_scenes(coupled)
     (taken,) = selected(scenes, ["transmission_coupling"]).terms
     assert taken.term.name == "transmission_coupling"

@@ -8,6 +8,7 @@ the controller has seen the same noise.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, CubicSpline
@@ -19,7 +20,7 @@ from seqid_cli.logs.recording import CommandForm, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import differentiate, shrink
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.filters.survey import survey_of_positions
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import moving_mask
@@ -39,7 +40,6 @@ KNOTS = np.arange(-3, 5)
 MARGIN = 0.2
 # Delays of commands that step are told apart by so many digits of a second.
 DELAY_DIGITS = 9
-MARGIN_ROWS = 20  # on either side, beyond which no row bends a curve
 MOST_HELD = 200  # of these commands are kept: they take memory
 # A joint stands that has moved by less than so many steps of its encoder for so long.
 STANDS_S = 0.1
@@ -61,8 +61,8 @@ class DriveSignals:
 
     Attributes
     ----------
-    q, dq : (N, n) arrays
-        rad, rad/s.
+    q, dq, ddq : (N, n) arrays
+        rad, rad/s, rad/s^2.
     torque : (N, n) array
         N m, the measured torque, or what the model computes from the motion.
     measured : bool
@@ -89,6 +89,7 @@ class DriveSignals:
     cutoff_hz: float
     q: Array
     dq: Array
+    ddq: Array
     torque: Array
     measured: bool
     gravity: Array
@@ -102,6 +103,11 @@ class DriveSignals:
     raw: Recording
     # What commands that step do, low-passed, by joint and delay.
     held: dict[tuple[str, int, float], Array] = field(default_factory=dict, repr=False)
+    # Curves through rows, by what they are of and joint: a simulation asks for them at
+    # every delay that it tries.
+    curves: dict[tuple[str, int], Callable[[Array], Array]] = field(
+        default_factory=dict, repr=False
+    )
 
     def command_steps(self, joint: int) -> tuple[Array, Array]:
         """Return when a joint's commands were sent (K,) [s], and these (K,) [rad]."""
@@ -175,6 +181,7 @@ def signals_of(
         cutoff_hz=lowpass.cutoff_hz,
         q=q,
         dq=dq,
+        ddq=ddq,
         torque=torque,
         measured=measured,
         gravity=model.rigid(q, np.zeros_like(q), np.zeros_like(q)),
@@ -274,21 +281,53 @@ def command_at(log: DriveSignals, course: str, joint: int, t: Array) -> Array:
         return np.asarray(column[np.maximum(latest, 0)])
     if log.sent is None and len(times) > 2:
         # Samples of a smooth command: chords would be short of every bend.
-        curve = Akima1DInterpolator(times, column, method="makima")
+        key = ("command", joint)
+        if key not in log.curves:
+            log.curves[key] = Akima1DInterpolator(times, column, method="makima")
+        curve = log.curves[key]
         return np.asarray(curve(np.clip(t, times[0], times[-1])), np.float64)
     return np.interp(t, times, column)
 
 
-def smooth_at(log: DriveSignals, values: Array, t: Array) -> Array:
-    """Return smooth values (N,) of the rows at some times (K,).
+def slopes_at(
+    log: DriveSignals,
+    course: str,
+    joint: int,
+    t: Array,
+    *,
+    of: Literal["dc", "ddc"] = "dc",
+) -> Array:
+    """Return the velocity or acceleration (K,) of a joint's command at some times.
 
-    Chords between rows would be short of waves: 0.1 % at a fiftieth of the rows' rate.
+    Times are those of one window: of a command that is missing now and then the
+    stretch counts that is nearest to them. Chords between rows would be short of waves:
+    0.1 % at a fiftieth of the rows' rate.
     """
-    rows = log.raw.t
-    first, last = np.searchsorted(rows, [t.min(), t.max()])
-    part = slice(max(0, int(first) - MARGIN_ROWS), int(last) + MARGIN_ROWS)
-    curve = CubicSpline(rows[part], values[part])
-    return np.asarray(curve(np.clip(t, rows[0], rows[-1])), np.float64)
+    key = (f"{of} {course}", joint)
+    if key not in log.curves:
+        values = getattr(log.commands[course], of)[:, joint]
+        log.curves[key] = _CurveOfStretches(log.raw.t, values)
+    return log.curves[key](t)
+
+
+class _CurveOfStretches:
+    """Cubic splines through rows at times (N,), one for each stretch without a gap."""
+
+    def __init__(self, times: Array, values: Array) -> None:
+        stretches = runs(np.isfinite(values), len(values))
+        of_use = [(start, stop) for start, stop in stretches if stop - start > 1]
+        self.ends = [(times[start], times[stop - 1]) for start, stop in of_use]
+        self.curves = [
+            CubicSpline(times[start:stop], values[start:stop]) for start, stop in of_use
+        ]
+
+    def __call__(self, t: Array) -> Array:
+        """Return values (K,) at times (K,), held beyond the nearest stretch."""
+        middle = 0.5 * float(t.min() + t.max())
+        away = [max(first - middle, middle - last) for first, last in self.ends]
+        nearest = int(np.argmin(away))
+        held = np.clip(t, *self.ends[nearest])
+        return np.asarray(self.curves[nearest](held), np.float64)
 
 
 def sum_of_steps(log: DriveSignals, joint: int, t: Array) -> Array:

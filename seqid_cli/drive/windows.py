@@ -21,7 +21,7 @@ from seqid_cli.drive.signals import (
     STANDS_STEPS,
     DriveSignals,
     command_at,
-    smooth_at,
+    slopes_at,
     table_for,
 )
 from seqid_cli.drive.simulation import STEP_S, Asked, ClosedLoop, Gains
@@ -166,7 +166,8 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
     rows = windows[0].stop - windows[0].start
     q0 = np.stack([window.log.q[window.start] for window in windows])
     v0 = np.stack([window.log.dq[window.start] for window in windows])
-    first_torque = np.stack([window.log.torque[window.start] for window in windows])
+    drives = gains_of(file, list(file.robot.joints))
+    first_torque = np.stack([_first_torque(drives, window) for window in windows])
     steps = (rows - 1) * per_row + 1
     asked = replace(
         _asked(file, windows, steps, step_s),
@@ -196,6 +197,22 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
         open_position=open_position,
         step_s=step_s,
     )
+
+
+def _first_torque(drives: Gains, window: Window) -> Array:
+    """Return the torque (n,) [N m] with which a window begins.
+
+    Where it was not measured it is the model's. What the drives were found to have
+    beside the model, rotors and friction, is added.
+    """
+    log = window.log
+    torque: Array = log.torque[window.start]
+    if log.measured:
+        return torque
+    speed = log.dq[window.start]
+    of_friction = drives.viscous * speed + drives.coulomb * np.sign(speed)
+    of_rotors = drives.armature * log.ddq[window.start]
+    return np.asarray(torque + of_rotors + of_friction)
 
 
 def _stands(window: Window) -> Mask:
@@ -235,11 +252,11 @@ def _asked(
                 continue
             at = t - joint.value("command_delay")
             c[:, w, j] = command_at(log, joint.command, j, at)
-            smooth = log.commands.get(joint.command, log.commands["interpolated"])
+            course = joint.command if joint.command in log.commands else "interpolated"
             if joint.value("velocity_feedforward"):
-                dc[:, w, j] = smooth_at(log, smooth.dc[:, j], at)
+                dc[:, w, j] = slopes_at(log, course, j, at)
             if joint.value("acceleration_feedforward"):
-                ddc[:, w, j] = smooth_at(log, smooth.ddc[:, j], at)
+                ddc[:, w, j] = slopes_at(log, course, j, at, of="ddc")
     led = _led(file, windows, steps, step_s)
     return Asked(c=c, dc=dc, ddc=ddc, led=led)
 

@@ -22,7 +22,7 @@ from seqid_cli.drive.signals import (
     STANDS_STEPS,
     DriveSignals,
     command_at,
-    smooth_at,
+    slopes_at,
     sum_of_steps,
 )
 from seqid_cli.logs.raw import Rows
@@ -34,6 +34,9 @@ from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.typing import Array, Mask
 
 STEP_S = 1e-3  # about; the scheme is of second order
+# Of steps by which structures are compared and starts are searched, before numbers are
+# found in steps of `STEP_S`.
+ROUGH_STEP_S = 2.5e-3
 # Of a joint's position, over which the slope of its torque is taken [rad].
 SLOPE_RAD = 1e-3
 # Windows in which the command changes by less than this share of the usual are holds.
@@ -75,7 +78,10 @@ class JointCourse:
     load : (K, B) array
         N m, the torque behind the joint's gear.
     torque : (B,) array
-        N m, at the first row, by which integrals begin.
+        N m, at the first row, by which integrals begin: as it was measured, or as the
+        model has it.
+    acceleration : (B,) array
+        rad/s^2, at the first row.
     stands : (B,) mask
         Whether the joint has stood still for a moment where the window begins.
     times : (K, B) array
@@ -100,6 +106,7 @@ class JointCourse:
     gravity: Array
     load: Array
     torque: Array
+    acceleration: Array
     stands: Mask
     times: Array
     step_s: Array
@@ -142,27 +149,36 @@ class JointCourse:
         """Return the velocity of that command (K, B) [rad/s]."""
         dc = np.empty_like(self.along)
         for b, place in enumerate(self.places):
-            log = self.logs[place.log]
-            slopes = log.commands[self.course].dc[:, self.joint]
-            dc[:, b] = smooth_at(log, slopes, self.times[:, b] - delay_s)
+            t = self.times[:, b] - delay_s
+            dc[:, b] = slopes_at(self.logs[place.log], self.course, self.joint, t)
         return dc
 
     def finer(self) -> "JointCourse":
         """Return the same windows in steps of half the length."""
-        step_s = 0.5 * self.step_s
-        starts = self.times[0]
-        count = 2 * len(self.times)
+        return self.stepped(2 * self.per_row)
+
+    def rough(self) -> "JointCourse":
+        """Return the same windows in steps of about `ROUGH_STEP_S`, or as they are."""
+        per_row = max(1, round(self.row_s / ROUGH_STEP_S))
+        return self if per_row >= self.per_row else self.stepped(per_row)
+
+    def stepped(self, per_row: int) -> "JointCourse":
+        """Return the same windows in so many steps a row."""
+        longer = self.per_row / per_row
+        step_s = longer * self.step_s
+        count = len(self.times) * per_row // self.per_row
+        places: Array = longer * np.arange(count, dtype=np.float64)
         return replace(
             self,
-            along=_halved(self.along),
-            inertia=_halved(self.inertia),
-            rest=_halved(self.rest),
-            slope=_halved(self.slope),
-            gravity=_halved(self.gravity),
-            load=_halved(self.load),
-            times=starts + np.arange(count)[:, None] * step_s,
+            along=_between(self.along, places),
+            inertia=_between(self.inertia, places),
+            rest=_between(self.rest, places),
+            slope=_between(self.slope, places),
+            gravity=_between(self.gravity, places),
+            load=_between(self.load, places),
+            times=self.times[0] + np.arange(count)[:, None] * step_s,
             step_s=step_s,
-            per_row=2 * self.per_row,
+            per_row=per_row,
         )
 
     def of(self, chosen: Rows) -> "JointCourse":
@@ -182,6 +198,7 @@ class JointCourse:
             gravity=self.gravity[:, chosen],
             load=self.load[:, chosen],
             torque=self.torque[chosen],
+            acceleration=self.acceleration[chosen],
             stands=self.stands[chosen],
             times=self.times[:, chosen],
             step_s=self.step_s[chosen],
@@ -189,12 +206,13 @@ class JointCourse:
         )
 
 
-def _halved(values: Array) -> Array:
-    """Return values (K, B) at steps of half the length, on straight lines."""
+def _between(values: Array, places: Array) -> Array:
+    """Return values (K, B) at places (L,) between the steps, on straight lines."""
     beyond = 2.0 * values[-1:] - values[-2:-1]
     after = np.concatenate([values[1:], beyond])
-    between = 0.5 * (values + after)
-    return np.stack([values, between], axis=1).reshape(-1, values.shape[1])
+    step = np.floor(places).astype(np.intp)
+    share = (places - step)[:, None]
+    return np.asarray((1.0 - share) * values[step] + share * after[step])
 
 
 def mean_command(
@@ -219,6 +237,7 @@ class ArmMotion:
     log: DriveSignals
     q: Array
     dq: Array
+    ddq: Array
     inertia: Array  # kg m^2, the mass matrix' diagonal
     rest: Array  # N m, of each joint without its own acceleration
     slope: Array  # N m/rad, of each joint's torque over its own position
@@ -262,6 +281,7 @@ def arm_motion(
         log=log,
         q=q,
         dq=dq,
+        ddq=ddq,
         inertia=inertia,
         rest=load - inertia * ddq,
         slope=slope,
@@ -390,6 +410,7 @@ def _course(
         torque=np.array(
             [motions[place.log].log.torque[place.start, joint] for place in places]
         ),
+        acceleration=of_rows("ddq")[0],
         stands=np.array([stands(motions[p.log], joint, p.start) for p in places]),
         times=np.array(starts) + np.arange(steps)[:, None] * step_s,
         step_s=step_s,

@@ -44,6 +44,8 @@ GRAVITY_STD = 0.5  # of a share of gravity that a controller adds
 USUAL_HZ = 3.0
 USUAL_DAMPING = 0.7
 USUAL_FRICTION = 0.3
+# Integral gain per second as a share of the proportional one.
+USUAL_INTEGRAL_HZ = 1.0
 # Viscous friction as a share of the controller's damping.
 USUAL_VISCOUS = 0.1
 # Standard deviations of logarithms where nothing is known, and at least without torque.
@@ -138,7 +140,8 @@ def fit_windows(
     unknowns = first_unknowns(loops, by_rows, measured=measured, nominal=nominal)
     rms_by_rows = np.inf
     if by_rows is None:
-        unknowns, start = _with_structure(parts, unknowns)
+        unknowns, theta = _with_structure(parts.rough(), unknowns)
+        start = solved(parts.fitted, unknowns, theta)
     else:
         start = solved(parts.fitted, unknowns, unknowns.mean)
         rms_by_rows = bounded_rms(parts.judged(unknowns, unknowns.mean))
@@ -331,27 +334,72 @@ def _known_delay(by_rows: JointFit) -> Unknown:
     )
 
 
-def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Solved]:
+def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Array]:
     """Find numbers where nothing is known, and which parts the controller has.
 
     A part more is one that held-out windows gain by, or one that brings numbers back to
     where they can be: gravity that a controller compensates shows no scale, and without
-    that part a search makes the joint as heavy as it takes to hide gravity.
+    that part a search makes the joint as heavy as it takes to hide gravity. An integral
+    may take the place of any of them, so that each is tried with one.
     """
-    best = unknowns
-    solution = _best_of(parts.fitted, unknowns)
-    judged = parts.judged(unknowns, solution.theta)
-    damping = next(each for each in unknowns.searched if each.name == DERIVATIVE)
+    gain, damping = (
+        next(each for each in unknowns.searched if each.name == name)
+        for name in (PROPORTIONAL, DERIVATIVE)
+    )
     speed = replace(damping, name=VELOCITY_FEEDFORWARD)
     gravity = Unknown(name=GRAVITY, start=1.0, std=GRAVITY_STD, positive=False)
-    for more in ([speed], [gravity], [speed, gravity]):
+    integral = _open(INTEGRAL, USUAL_INTEGRAL_HZ * gain.start)
+    choice: _Choice | None = None
+    for more in ([], [speed], [gravity], [speed, gravity]):
         wider = unknowns.with_more(more)
-        other = _best_of(parts.fitted, wider)
-        after = parts.judged(wider, other.theta)
-        is_needed = not _is_plausible(best, solution) and _is_plausible(wider, other)
-        if gains(judged, after) or (is_needed and not gains(after, judged)):
-            best, solution, judged = wider, other, after
-    return best, solution
+        solution = _best_of(parts.fitted, wider)
+        found = _Choice.of(parts, wider, solution)
+        if choice is None or found.is_better(choice):
+            choice = found
+
+        # From where it has come to: gains and friction stay about as they are.
+        scale = solution.theta[wider.names.index(PROPORTIONAL)] - gain.mean
+        start = np.append(solution.theta, integral.mean + scale)
+        with_integral = wider.with_more([integral])
+        solution = solved(parts.fitted, with_integral, start)
+        found = _Choice.of(parts, with_integral, solution)
+        if found.is_better(choice):
+            choice = found
+    assert choice is not None
+    return choice.unknowns, choice.solution.theta
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Choice:
+    """Parts of a controller, with their numbers.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    solution : Solved
+    judged : (W,) array
+        rad^2, mean squares of the held-out windows.
+    """
+
+    unknowns: Unknowns
+    solution: Solved
+    judged: Array
+
+    @classmethod
+    def of(cls, parts: Parts, unknowns: Unknowns, solution: Solved) -> "_Choice":
+        judged = parts.judged(unknowns, solution.theta)
+        return cls(unknowns=unknowns, solution=solution, judged=judged)
+
+    @property
+    def is_plausible(self) -> bool:
+        return _is_plausible(self.unknowns, self.solution)
+
+    def is_better(self, other: "_Choice") -> bool:
+        """Tell whether held-out windows gain, or numbers become what they can be."""
+        if gains(other.judged, self.judged):
+            return True
+        is_needed = self.is_plausible and not other.is_plausible
+        return is_needed and not gains(self.judged, other.judged)
 
 
 def _distance(unknowns: Unknowns, theta: Array) -> Array:

@@ -210,10 +210,23 @@ class _Integral:
     def _first(self, u: Array, v: Array) -> Array:
         """Return the integral that has what the torque has beside the law's rest."""
         values = self.run.values
-        rest = self.run.course.torque - u + values.derivative * v
+        rest = self._torque(v) - u + values.derivative * v
         is_there = values.integral != 0.0
         divisor = np.where(is_there, values.integral, 1.0)
         return np.where(is_there, rest / divisor, 0.0)
+
+    def _torque(self, v: Array) -> Array:
+        """Return the torque (S, B) with which windows begin.
+
+        Where it was not measured it is the model's, and what the model lacks is added.
+        """
+        course = self.run.course
+        if course.logs[0].measured:
+            return course.torque
+        values = self.run.values
+        of_friction = values.viscous * v + values.coulomb * np.sign(v)
+        of_rotor = values.armature * course.acceleration
+        return np.asarray(course.torque + of_rotor + of_friction)
 
 
 def _pieces(steps: int) -> list[range]:

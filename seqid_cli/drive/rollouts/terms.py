@@ -76,6 +76,14 @@ class Parts:
                 held_out.append(_some(loop, numbers[judges]))
         return cls(fitted=fitted, held_out=held_out)
 
+    def rough(self) -> "Parts":
+        """Return the same windows in longer steps: a search takes many of them."""
+        fitted, held_out = (
+            [replace(loop, course=loop.course.rough()) for loop in loops]
+            for loops in (self.fitted, self.held_out)
+        )
+        return Parts(fitted=fitted, held_out=held_out)
+
     def judged(self, unknowns: Unknowns, theta: Array) -> Array:
         """Return mean squares (W,) [rad^2] of the held-out windows."""
         return np.asarray(mean_squares(self._off(unknowns, theta))[0])

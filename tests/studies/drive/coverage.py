@@ -41,7 +41,8 @@ class Situation:
     """What the logs hold, and what is given.
 
     `sent`: commands come at 50 Hz in messages of their own and hold. `nominal`: there
-    is no model but the URDF's links, without friction and rotors.
+    is no model but the URDF's links, without friction and rotors. `links`: these,
+    positions and commands are all there is.
     """
 
     sent: bool = False
@@ -60,14 +61,14 @@ class Situation:
         own: dict[str, Any] = {}
         if self.sent:
             own = {"command_hz": 50.0, "own_clock": True}
-        return simulate_drive(
+        log = simulate_drive(
             arm, multisine(seed, n, SECONDS), SECONDS, seed=seed, **own
         )
+        return replace(log, tau=None) if self.no_torque else log
 
     def drive(self, arm: DrivenArm, log: Recording) -> DriveFile:
-        options = drives.DriveOptions(no_torque=self.no_torque)
         model = () if self.nominal else model_of(arm)
-        return drives.drive([log], arm.robot, model, options)
+        return drives.drive([log], arm.robot, model)
 
 
 SITUATIONS = {
@@ -75,6 +76,7 @@ SITUATIONS = {
     "sent": Situation(sent=True),
     "motion": Situation(no_torque=True),
     "nominal": Situation(nominal=True),
+    "links": Situation(nominal=True, no_torque=True),
 }
 
 

@@ -74,6 +74,15 @@ def test_the_true_numbers_follow_the_log() -> None:
     assert rms(nominal_loops(), known, np.zeros((1, 0))) < 1e-4
 
 
+def test_rough_steps_move_the_joint_alike() -> None:
+    known = Unknowns(searched=[], fixed=true_numbers())
+    rough = [replace(loop, course=loop.course.rough()) for loop in nominal_loops()]
+    assert [loop.course.per_row for loop in rough] < [
+        loop.course.per_row for loop in nominal_loops()
+    ]
+    assert rms(rough, known, np.zeros((1, 0))) < 5e-4
+
+
 def test_numbers_that_are_off_are_found_again() -> None:
     true = true_numbers()
     names = ("proportional", "derivative", "armature", "coulomb")
@@ -189,6 +198,27 @@ def test_without_a_model_the_urdf_stands_for_it() -> None:
     # The file alone moves the robot.
     replayed = drives.replay([held_out], urdf_robot(), file).joints["joint_1"]
     assert replayed.position.rms < 0.1 * replayed.start_plus_change.rms
+
+
+@pytest.mark.slow
+def test_an_integral_is_found_by_motion_and_links_alone() -> None:
+    gain = arm().drive.proportional
+    integrating = arm().with_drive(
+        integral=1.5 * gain,
+        gravity_compensation=np.zeros(1),
+        velocity_feedforward=np.zeros(1),
+    )
+    log, held_out = (
+        simulate_drive(
+            integrating, multisine(seed, 1, 12.0), 12.0, seed=seed, with_torque=False
+        )
+        for seed in (4, 31)
+    )
+    file = drives.drive([log], urdf_robot())
+    share = number(file, "integral").value / number(file, "proportional").value
+    assert share == pytest.approx(1.5, rel=0.05)
+    replayed = drives.replay([held_out], urdf_robot(), file).joints["joint_1"]
+    assert replayed.position.rms < 0.05 * replayed.start_plus_change.rms
 
 
 @pytest.mark.slow

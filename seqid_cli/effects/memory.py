@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import shift
 
 from seqid_cli.effects.scene import Scene
@@ -352,13 +353,16 @@ def lagged(values: Array, time_constant_s: float, rate_hz: float) -> Array:
         Above 0.
     rate_hz : float
     """
-    from scipy.signal import lfilter
-
     if not len(values):
         return values.copy()
     decay = float(np.exp(-1.0 / (rate_hz * time_constant_s)))
     ramp = rate_hz * time_constant_s * (1.0 - decay)
-    numerator = [1.0 - ramp, ramp - decay]
-    settled = ramp * values[:1]
-    low, _ = lfilter(numerator, [1.0, -decay], values, axis=0, zi=settled)
+
+    # low[k] - decay low[k - 1] is what came in: solved from the first row on.
+    came_in = (1.0 - ramp) * values
+    came_in[1:] += (ramp - decay) * values[:-1]
+    came_in[0] += ramp * values[0]
+    bands = np.ones((2, len(values)))
+    bands[1] = -decay
+    low, _ = dtbtrs(bands, came_in, uplo="L", diag="U")
     return np.asarray(low)

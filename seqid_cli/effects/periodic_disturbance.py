@@ -13,6 +13,7 @@ of the logs that could show it, if its phase wanders within a log, if the modell
 torque has a line there of comparable size, or if all motions repeat with it.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -215,19 +216,36 @@ class _Pieces(NamedTuple):
 
 def _demodulated(signal: Signal, frequency: float) -> _Pieces:
     """Turn a signal back by a frequency and take means over equal pieces of it."""
-    counted = np.flatnonzero(signal.values)
-    time = signal.start + counted / signal.rate_hz
+    values = signal.values
+    length = len(values)
+    # Of equal steps the waves are products of a few: sine and cosine of every sample
+    # would take most of the time.
+    rows = max(1, math.isqrt(length))
+    steps = np.arange(-(-length // rows)) * rows / signal.rate_hz
+    coarse = _turned_back(frequency, signal.start + steps)
+    fine = _turned_back(frequency, np.arange(rows) / signal.rate_hz)
+    wave = np.multiply.outer(coarse, fine).ravel()[:length]
+
+    piece = np.arange(length) * PIECES // max(length, 1)
+    time = signal.start + np.arange(length) / signal.rate_hz
+    counted = (values != 0.0).astype(np.float64)
+    turned = values * wave
+
+    def sums(of_samples: Array) -> Array:
+        binned = np.bincount(piece, of_samples, minlength=PIECES)
+        return binned.astype(np.float64)
+
+    weight = sums(counted)
+    number = np.maximum(weight, 1.0)
+    z = (sums(turned.real) + 1j * sums(turned.imag)) / number
+    return _Pieces(np.asarray(z), sums(time * counted) / number, weight)
+
+
+def _turned_back(frequency: float, time: Array) -> Complex:
+    """Return exp(-2 pi i f t) at times (M,) s."""
     # Sine and cosine of numbers cost a fraction of the exponential of complex ones.
     angle = 2.0 * np.pi * frequency * time
-    values = signal.values[counted]
-
-    piece = counted * PIECES // max(len(signal.values), 1)
-    weight = np.bincount(piece, minlength=PIECES).astype(np.float64)
-    number = np.maximum(weight, 1.0)
-    real = np.bincount(piece, values * np.cos(angle), minlength=PIECES) / number
-    imag = -np.bincount(piece, values * np.sin(angle), minlength=PIECES) / number
-    t = np.bincount(piece, time, minlength=PIECES) / number
-    return _Pieces(real + 1j * imag, t, weight)
+    return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 
 
 LOWEST_HZ = 1.0

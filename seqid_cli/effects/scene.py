@@ -122,6 +122,18 @@ class Scene:
         return self.start + self.motion.t
 
     @cached_property
+    def lowest(self) -> Array:
+        """Lowest usable position (n,) of each joint; infinite if no sample is."""
+        usable = self.motion.q[self.motion.usable]
+        return np.asarray(np.min(usable, axis=0, initial=np.inf))
+
+    @cached_property
+    def highest(self) -> Array:
+        """Highest usable position (n,) of each joint; -infinite if no sample is."""
+        usable = self.motion.q[self.motion.usable]
+        return np.asarray(np.max(usable, axis=0, initial=-np.inf))
+
+    @cached_property
     def slides(self) -> Mask:
         """Samples (N, n) at which a joint certainly slides."""
         return sliding(self.motion, SLIDES * self.sign_width)
@@ -272,11 +284,9 @@ def top_speed(scenes: Scenes, joint: int) -> float:
 
 def positions(scenes: Scenes, joint: int) -> tuple[float, float]:
     """Return a joint's lowest and highest position, rad (m if prismatic)."""
-    usable = [scene.motion.q[scene.motion.usable, joint] for scene in scenes]
-    q = np.concatenate(usable)
-    if not len(q):
-        return 0.0, 0.0
-    return float(q.min()), float(q.max())
+    low = min(float(scene.lowest[joint]) for scene in scenes)
+    high = max(float(scene.highest[joint]) for scene in scenes)
+    return (low, high) if low <= high else (0.0, 0.0)
 
 
 def travel(scenes: Scenes, joint: int) -> float:

@@ -22,12 +22,15 @@ selection", IJRR 35(1-3), 2016; strain wave: Ghorbel, Gandhi, "On the kinematic 
 harmonic drive gears", J. Mech. Des. 123(1), 2001.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
+from scipy.fft import rfft
 
 from seqid_cli.effects.effect import (
     Coefficient,
@@ -42,7 +45,7 @@ from seqid_cli.effects.scene import Scene, Scenes, travel
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Index
 
 BINS_PER_CYCLE = 4
 MOST_BINS = 1 << 17
@@ -51,24 +54,36 @@ PADDING = 4
 TREND = 5  # terms of the smooth dependence on position that is taken out first
 FLOOR_WINDOW = 64  # values of the spectrum over which its level is taken
 XATOL = 5e-4  # of the half width of a line, to which its order is refined
+# Terms of a power series of exp(i x), and more for each rad that x may have: the first
+# one that is left out is 1e-12 at pi / 2.
+TERMS_FOR = (12, 5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     """A residual r with its multiplier m, summed up over position in B bins.
 
+    Most bins are empty where a log is short and its lines may be fine: only the others
+    are kept.
+
     Attributes
     ----------
+    bins : int
+        B.
+    bin : Index
+        (F,) numbers of the bins that are filled, ascending.
     x : Array
-        (B,) mean position of each bin [turns].
+        (F,) mean position in each of these [turns].
     rm, mm : Array
-        (B,) sums of r m and of m m in each bin.
+        (F,) sums of r m and of m m in each of these.
     span : float
         Range of position [turns].
     highest : float
         Cycles per turn up to which the bins resolve lines.
     """
 
+    bins: int
+    bin: Index
     x: Array
     rm: Array
     mm: Array
@@ -109,19 +124,40 @@ class Profile:
         bin_of = np.minimum(((X - start) / span * bins).astype(np.intp), bins - 1)
 
         number = np.bincount(bin_of, minlength=bins)
-        centre = start + (np.arange(bins) + 0.5) * span / bins
-        mean = np.bincount(bin_of, weights=X, minlength=bins) / np.maximum(number, 1)
-        position = np.where(number > 0, mean, centre)
-        mm = np.bincount(bin_of, weights=M * M, minlength=bins).astype(np.float64)
-        rm = np.bincount(bin_of, weights=R * M, minlength=bins).astype(np.float64)
+        filled = np.flatnonzero(number)
+        position = np.bincount(bin_of, weights=X)[filled] / number[filled]
+        mm = np.bincount(bin_of, weights=M * M)[filled].astype(np.float64)
+        rm = np.bincount(bin_of, weights=R * M)[filled].astype(np.float64)
 
         # A smooth dependence on position, scaled to [-1, 1], is taken out of r first.
         basis = chebvander(2 * (position - start) / span - 1, TREND - 1)
         weighted = basis * mm[:, None]
         trend = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
-        rm = rm - weighted @ trend
         resolved = bins / (BINS_PER_CYCLE * span)
-        return cls(x=position, rm=rm, mm=mm, span=span, highest=min(highest, resolved))
+        return cls(
+            bins=bins,
+            bin=filled,
+            x=position,
+            rm=rm - weighted @ trend,
+            mm=mm,
+            span=span,
+            highest=min(highest, resolved),
+        )
+
+    @cached_property
+    def power(self) -> tuple[Array, Array]:
+        """Orders [cycles per turn] from 0 on, and the power of a line at each."""
+        in_bins = np.zeros(self.bins)
+        in_bins[self.bin] = self.rm
+        lines = rfft(in_bins, PADDING * self.bins)
+        squares = lines.real**2 + lines.imag**2
+        orders = np.arange(len(lines)) / (PADDING * self.span)
+        # The gain that a well spread range of positions would give.
+        return orders, 2.0 * squares / max(self._sum_mm, 1e-300)
+
+    @cached_property
+    def _sum_mm(self) -> float:
+        return float(self.mm.sum())
 
     def gain(self, order: float) -> float:
         """Return the squared residual that a sine of `order` cycles per turn explains.
@@ -131,12 +167,71 @@ class Profile:
         p = 2 * np.pi * order * self.x
         sin = np.sin(p)
         cos = np.cos(p)
-        cross = float(self.mm @ (sin * cos))
-        A = np.array([[self.mm @ (sin * sin), cross], [cross, self.mm @ (cos * cos)]])
-        b = np.array([self.rm @ sin, self.rm @ cos])
+        weighted = self.mm * sin
+        return self._explained(
+            of_sin=float(weighted @ sin),
+            cross=float(weighted @ cos),
+            b_sin=float(self.rm @ sin),
+            b_cos=float(self.rm @ cos),
+        )
 
-        is_degenerate = np.linalg.det(A) < 1e-3 * float(np.trace(A)) ** 2
-        return 0.0 if is_degenerate else float(b @ np.linalg.solve(A, b))
+    def _explained(
+        self, *, of_sin: float, cross: float, b_sin: float, b_cos: float
+    ) -> float:
+        """Return the squared residual that sine and cosine explain, by their products.
+
+        The squares of both are `_sum_mm` together.
+        """
+        of_cos = self._sum_mm - of_sin
+        determinant = of_sin * of_cos - cross**2
+        if determinant <= 1e-3 * self._sum_mm**2:
+            return 0.0
+        square = b_sin**2 * of_cos - 2.0 * b_sin * b_cos * cross + b_cos**2 * of_sin
+        return square / determinant
+
+    def gains_near(self, order: float, width: float) -> Callable[[float], float]:
+        """Return `gain` of orders that are not further than `width` from one.
+
+        Over the range of positions such a wave turns against that of `order` by a part
+        of a turn. So it is its wave times a short power series of the position u, in
+        halves of the range from its middle:
+
+            exp(i p) = exp(i p0) sum_k (i a u)^k / k!,    a = pi span (order - order0),
+
+        and the sums over all positions are taken once for all orders.
+        """
+        from scipy.special import factorial
+
+        middle = 0.5 * (float(self.x[0]) + float(self.x[-1]))
+        turns = order * (self.x - middle)
+        wave = np.exp(2j * np.pi * (turns - np.round(turns)))
+        reach = 2.0 * np.pi * self.span * width  # of the wave's square, rad
+        powers = np.arange(TERMS_FOR[0] + math.ceil(TERMS_FOR[1] * reach))
+        u = (self.x - middle) / (0.5 * self.span)
+        of_u = np.empty((len(powers), len(u)))
+        of_u[0] = 1.0
+        for k in powers[1:]:
+            np.multiply(of_u[k - 1], u, out=of_u[k])
+        series = (1j**powers) / factorial(powers)
+        rm_wave = of_u @ (self.rm * wave.real) + 1j * (of_u @ (self.rm * wave.imag))
+        square = wave * wave
+        mm_wave = of_u @ (self.mm * square.real) + 1j * (of_u @ (self.mm * square.imag))
+        rm_series = series * rm_wave
+        mm_series = series * mm_wave
+
+        def gain(other: float) -> float:
+            angle = np.pi * self.span * (other - order)
+            of_r = complex(rm_series @ angle**powers)
+            of_m = complex(mm_series @ (2.0 * angle) ** powers)
+            # sin^2 p = (1 - cos 2 p) / 2, sin p cos p = sin 2 p / 2
+            return self._explained(
+                of_sin=0.5 * (self._sum_mm - of_m.real),
+                cross=0.5 * of_m.imag,
+                b_sin=of_r.imag,
+                b_cos=of_r.real,
+            )
+
+        return gain
 
 
 class _Spectrum(NamedTuple):
@@ -190,11 +285,7 @@ def clearness(profile: Profile, lowest: float, order: float) -> float:
 
 def _spectrum(profile: Profile, lowest: float) -> _Spectrum:
     """Compute the spectrum of a profile over position, from the order `lowest` on."""
-    lines = np.abs(np.fft.rfft(profile.rm, PADDING * len(profile.rm))) ** 2
-    orders = np.arange(len(lines)) / (PADDING * profile.span)
-    # The gain that a well spread range of positions would give.
-    power = 2.0 * lines / max(float(profile.mm.sum()), 1e-300)
-
+    orders, power = profile.power
     inside = (orders >= lowest) & (orders <= profile.highest)
     orders = orders[inside]
     power = power[inside]
@@ -228,8 +319,9 @@ def _refined(profile: Profile, order: float, width: float) -> float:
     """Return the order of most gain within `width` of a peak."""
     from scipy.optimize import minimize_scalar
 
+    gain = profile.gains_near(order, width)
     best = minimize_scalar(
-        lambda x: -profile.gain(x),
+        lambda x: -gain(x),
         bounds=(order - width, order + width),
         method="bounded",
         options={"xatol": XATOL * width},

@@ -73,11 +73,12 @@ def bayes_factor(D: Array, d: Array, precision: Array) -> BayesFactors:
         Products of the columns, the rest of the model eliminated.
     d : (..., k) array
         Products of the columns and the residual.
-    precision : (k, k) array
-        Of the coefficients beforehand, diagonal.
+    precision : (..., k, k) array
+        Of the coefficients beforehand, diagonal; one for all terms, or one of each.
     """
-    scale = 1.0 / np.sqrt(np.diag(precision))
-    value, vector = np.linalg.eigh(D * np.outer(scale, scale))
+    scale = 1.0 / np.sqrt(np.diagonal(precision, axis1=-2, axis2=-1))
+    scales = scale[..., :, None] * scale[..., None, :]
+    value, vector = np.linalg.eigh(D * scales)
     value = np.maximum(value, 0.0)
     u = ((d * scale)[..., None, :] @ vector)[..., 0, :]
     log_factor = 0.5 * np.sum(u**2 / (1.0 + value) - np.log1p(value), axis=-1)
@@ -87,5 +88,5 @@ def bayes_factor(D: Array, d: Array, precision: Array) -> BayesFactors:
     return BayesFactors(
         log_factor=log_factor,
         coefficients=a,
-        covariance=inverse * np.outer(scale, scale),
+        covariance=inverse * scales,
     )

@@ -48,6 +48,10 @@ def within_bounds(
         What is beyond a bound by more than that stays where it is.
     """
     specs = candidate.effect.coefficients(candidate.settings)
+    pairs = zip(specs, coefficients, strict=True)
+    if all(spec.low <= value <= spec.high for spec, value in pairs):
+        return np.array(coefficients, dtype=float)  # most of the time
+
     low = np.array([spec.low for spec in specs])
     high = np.array([spec.high for spec in specs])
     moved = np.array(coefficients, dtype=float)

@@ -843,22 +843,34 @@ class LinearModel:
         """Return what each term by itself does to a solved model."""
         Z = self._halved(solution.factor, products.C)
         residual_product = crossed.total.d - products.C.T @ solution.theta
-        fits = []
-        for term, at, D, D_rows in zip(
-            crossed.terms, crossed.where, products.D, crossed.total.D, strict=True
-        ):
-            S = D - Z[:, at].T @ Z[:, at]
-            factors = algebra.bayes_factor(S, residual_product[at], term.precision)
-            visible = float(np.trace(S) / max(float(np.trace(D_rows)), 1e-300))
-            fits.append(
-                TermFit(
-                    log_bayes_factor=float(factors.log_factor),
-                    coefficients=factors.coefficients,
-                    covariance=factors.covariance,
-                    visible_share=max(visible, 0.0),
-                )
+
+        # Terms of one size at once: one by one, the calls take longer than the sums.
+        numbers_of_size: dict[int, list[int]] = {}
+        for number, term in enumerate(crossed.terms):
+            numbers_of_size.setdefault(term.size, []).append(number)
+        fit_of: dict[int, TermFit] = {}
+        Z_rows = np.ascontiguousarray(Z.T)
+        for size, numbers in numbers_of_size.items():
+            first = np.array([crossed.where[number].start for number in numbers])
+            columns = first[:, None] + np.arange(size)
+            half = Z_rows[columns]
+            D = np.stack([products.D[number] for number in numbers])
+            D_rows = np.stack([crossed.total.D[number] for number in numbers])
+            S = D - half @ np.swapaxes(half, -1, -2)
+            precision = np.stack(
+                [crossed.terms[number].precision for number in numbers]
             )
-        return fits
+            factors = algebra.bayes_factor(S, residual_product[columns], precision)
+            square = np.maximum(np.trace(D_rows, axis1=-2, axis2=-1), 1e-300)
+            visible = np.maximum(np.trace(S, axis1=-2, axis2=-1) / square, 0.0)
+            for i, number in enumerate(numbers):
+                fit_of[number] = TermFit(
+                    log_bayes_factor=float(factors.log_factor[i]),
+                    coefficients=factors.coefficients[i],
+                    covariance=factors.covariance[i],
+                    visible_share=float(visible[i]),
+                )
+        return [fit_of[number] for number in range(len(crossed.terms))]
 
     def _crossed(self, terms: Sequence[ColumnGroup], *, by_block: bool) -> _Crossed:
         """Return products of terms with all else, the logs' own columns out.

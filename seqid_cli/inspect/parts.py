@@ -121,7 +121,11 @@ class Gathered:
         offset_rows = round(offset * rate_hz)
         last_of_joint = {stretch.joint: stretch for stretch in self.stretches}
         for stretch in constant_velocity(
-            recording.q, rate_hz, step=data.step, valid=recording.valid
+            recording.q,
+            rate_hz,
+            step=data.step,
+            valid=recording.valid,
+            moving=data.moving,
         ):
             moved = replace(
                 stretch,

@@ -266,8 +266,24 @@ def _constant(values: Array, rows: Mask) -> Mask:
     change = np.abs(np.diff(values[counted], axis=0)).max(axis=1)
     large = np.flatnonzero(change >= 0.5 * np.quantile(change, 0.99))
     beside = values[counted[np.unique(np.concatenate([large, large + 1]))]]
-    candidates, counts = np.unique(beside, axis=0, return_counts=True)
-    return np.asarray((values == candidates[np.argmax(counts)]).all(axis=1))
+    return np.asarray((values == _most_frequent(beside)).all(axis=1))
+
+
+def _most_frequent(rows: Array) -> Array:
+    """Return the most frequent of rows (M, k).
+
+    Of several that are as frequent it is the lowest. Rows are compared where their
+    first value comes again: to sort whole rows takes most of the time, and few of a
+    signal with noise are the same.
+    """
+    _, which, times = np.unique(rows[:, 0], return_inverse=True, return_counts=True)
+    again = rows[times[which] > 1]
+    if len(again):
+        candidates, counts = np.unique(again, axis=0, return_counts=True)
+        if counts.max() > 1:
+            return np.asarray(candidates[np.argmax(counts)])
+    lowest = rows[which == 0]  # no row comes twice
+    return np.asarray(np.unique(lowest, axis=0)[0])
 
 
 def _other_track(position: Array, *, near: float = 0.2) -> Mask:

@@ -144,7 +144,12 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
 
 
 def constant_velocity(
-    q: Array, rate_hz: float, *, step: Array, valid: Mask
+    q: Array,
+    rate_hz: float,
+    *,
+    step: Array,
+    valid: Mask,
+    moving: Mask | None = None,
 ) -> list[Stretch]:
     """Find all stretches in which exactly one joint moves, at constant velocity.
 
@@ -157,13 +162,16 @@ def constant_velocity(
         (n,) rad, noise steps of the encoders.
     valid : Mask
         (N,), false in gaps.
+    moving : Mask, optional
+        (N, n), `moving_mask` of all samples where it is known already.
 
     Returns
     -------
     list of Stretch
         In time order.
     """
-    moving = moving_mask(q, rate_hz, step)
+    if moving is None:
+        moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
     stretches: list[Stretch] = []
     for j in range(q.shape[1]):

@@ -226,19 +226,17 @@ def _demodulated(signal: Signal, frequency: float) -> _Pieces:
     fine = _turned_back(frequency, np.arange(rows) / signal.rate_hz)
     wave = np.multiply.outer(coarse, fine).ravel()[:length]
 
-    piece = np.arange(length) * PIECES // max(length, 1)
+    # The first sample of each piece; a signal of a few values has no more pieces.
+    n_pieces = min(PIECES, length)
+    first = -(-np.arange(n_pieces) * length // max(n_pieces, 1))
     time = signal.start + np.arange(length) / signal.rate_hz
     counted = (values != 0.0).astype(np.float64)
-    turned = values * wave
 
-    def sums(of_samples: Array) -> Array:
-        binned = np.bincount(piece, of_samples, minlength=PIECES)
-        return binned.astype(np.float64)
-
-    weight = sums(counted)
+    weight = np.add.reduceat(counted, first)
     number = np.maximum(weight, 1.0)
-    z = (sums(turned.real) + 1j * sums(turned.imag)) / number
-    return _Pieces(np.asarray(z), sums(time * counted) / number, weight)
+    z = np.asarray(np.add.reduceat(values * wave, first) / number, dtype=np.complex128)
+    t = np.add.reduceat(time * counted, first) / number
+    return _Pieces(z, t, weight)
 
 
 def _turned_back(frequency: float, time: Array) -> Complex:

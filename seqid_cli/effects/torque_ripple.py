@@ -573,13 +573,12 @@ def goes_through(scenes: Scenes, joint: int, cycles: float, highest_hz: float) -
     if travel(scenes, joint) < LEAST_TRAVEL:
         return False
 
+    cycles_per_rad = cycles / (2 * np.pi)
     total = 0.0
     for scene in scenes:
-        motion = scene.motion
-        speed = np.abs(motion.dq[:, joint])
-        waves_per_s = cycles * speed / (2 * np.pi)
-        shows = motion.moving[:, joint] & (waves_per_s <= highest_hz)
-        total += float(waves_per_s[shows].sum()) / motion.rate_hz
+        speed, way = _speeds(scene, joint)
+        n_shown = np.searchsorted(speed, highest_hz / cycles_per_rad, side="right")
+        total += cycles_per_rad * float(way[n_shown])
     return total >= FEWEST_WAVES
 
 
@@ -592,5 +591,21 @@ def usual_speed(scene: Scene, joint: int) -> float:
 
     In rad/s; 0 if it never moves.
     """
-    speed = np.abs(scene.motion.dq[:, joint])[scene.motion.moving[:, joint]]
+    speed, _ = _speeds(scene, joint)
     return float(np.quantile(speed, 0.75)) if len(speed) else 0.0
+
+
+def _speeds(scene: Scene, joint: int) -> tuple[Array, Array]:
+    """Return speeds (K,) rad/s at which a joint moves, and ways (K + 1,) rad.
+
+    Speeds ascend. The ways are those in the samples of the first few of them. They are
+    kept with the scene: every line is asked for its waves.
+    """
+    key = ("speeds", joint)
+    if key not in scene.memo:
+        motion = scene.motion
+        speed = np.sort(np.abs(motion.dq[motion.moving[:, joint], joint]))
+        way = np.concatenate([[0.0], np.cumsum(speed)]) / motion.rate_hz
+        scene.memo[key] = (speed, way)
+    speed, way = scene.memo[key]
+    return speed, way

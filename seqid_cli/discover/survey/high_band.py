@@ -11,6 +11,7 @@ below the cut-off.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -51,10 +52,18 @@ class HighBand:
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of values (N, ...) at each data set's own rate."""
         parts = [
-            of_scene[used[:, joint]]
-            for of_scene, used in zip(values, self.used, strict=True)
+            of_scene[samples]
+            for of_scene, samples in zip(values, self._samples[joint], strict=True)
         ]
         return np.concatenate(parts)
+
+    @cached_property
+    def _samples(self) -> list[list[Index]]:
+        """By joint and data set, the samples that are used: quicker than their mask."""
+        return [
+            [np.flatnonzero(used[:, joint]) for used in self.used]
+            for joint in range(len(self.y))
+        ]
 
 
 def high_band(rows: Rows) -> HighBand:

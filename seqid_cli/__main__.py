@@ -23,6 +23,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
+        if sys.platform == "linux":
+            from seqid_cli.commands.guard import watched
+
+            code = watched()
+            if code is not None:
+                return code
         from seqid_cli.commands.signals import answer_signals
 
         answer_signals()  # first: from here on an interrupt is answered

@@ -3,6 +3,7 @@
 Library code raises; only the command layer prints and exits.
 """
 
+EXIT_BUG = 70
 EXIT_INTERRUPTED = 130
 
 

@@ -22,9 +22,8 @@ from seqid_cli.commands.options import command_app
 from seqid_cli.commands.screen.layout import can_be_steered, shortened
 from seqid_cli.commands.screen.messages import write_error
 from seqid_cli.commands.screen.streams import cannot_be_written, to_nowhere
-from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
+from seqid_cli.errors import EXIT_BUG, EXIT_INTERRUPTED, SeqidError, UsageError
 
-EXIT_BUG = 70
 HELP_WIDTH = 100  # characters, where the terminal has so many
 _LONGEST_MESSAGE = 4000  # characters: names from files have any length
 _NO_MEMORY_MESSAGES = ("cannot allocate memory", "failed to map segment")

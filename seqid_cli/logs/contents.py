@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from seqid_cli.being_read import being_read
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.mcap import descriptions, reader, rosbags
 from seqid_cli.logs.mcap.records import Scan
@@ -31,7 +32,11 @@ class LogContents:
 
 def contents_of(path: Path) -> LogContents:
     """Look through a log; raises InputError if it is none or cannot be read at all."""
-    log = LogFile.at(path)
+    with being_read(path):
+        return _contents_of(LogFile.at(path))
+
+
+def _contents_of(log: LogFile) -> LogContents:
     kind = log.format
     file = log.file
     if kind == "parquet":
@@ -71,7 +76,8 @@ def robot_descriptions(path: Path) -> dict[str, str]:
     log = LogFile.at(path)
     if log.format in ("parquet", "csv"):
         return {}
-    return descriptions.read(log.file, Scan if log.format == "mcap" else BagScan)
+    with being_read(log.file):
+        return descriptions.read(log.file, Scan if log.format == "mcap" else BagScan)
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:

@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.being_read import being_read
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.mcap.records import read_summary
@@ -180,7 +181,7 @@ class LogFile:
         """Estimate the rows without reading them; 0 where nothing tells it."""
         if self.format == "parquet":
             try:
-                with opened_table(self.file) as table:
+                with being_read(self.file), opened_table(self.file) as table:
                     return int(table.metadata.num_rows)
             except ARROW_ERRORS as error:
                 raise parquet.damaged(self.file, error) from error

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from seqid_cli.being_read import being_read
 from seqid_cli.errors import InputError
 from seqid_cli.identify.prediction.torque_files import PARAMETERS
 from seqid_cli.logs.read import ABSURD
@@ -213,7 +214,8 @@ class TorqueTable:
 def _readable(where: str, wrong: str) -> Iterator[None]:
     """Turn what Arrow says in the block into a message."""
     try:
-        yield
+        with being_read(Path(where)):
+            yield
     except ARROW_ERRORS as error:
         first_line = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise InputError(f"{wrong}: {first_line}", where=where, hint=_HINT) from error

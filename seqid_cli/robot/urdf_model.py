@@ -24,6 +24,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from seqid_cli.being_read import being_read
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.kinematics import tidy_axis, tidy_position, tidy_rotation
 from seqid_cli.robot.types import Array, Chain, Robot
@@ -103,7 +104,7 @@ def _other_joints(model: pin.Model, names: Sequence[str]) -> list[int]:
 def whole_model(urdf: UrdfText) -> pin.Model:
     """Read all links and joints of a URDF; raises ConfigError if it is inconsistent."""
     try:
-        with _silenced():
+        with being_read(urdf.path), _silenced():
             return pin.buildModelFromXML(readable(urdf))
     except (ValueError, RuntimeError) as problem:
         lines = str(problem).strip().splitlines()

@@ -106,16 +106,16 @@ def test_a_pipe_is_refused_at_once(place: str, tmp_path: Path) -> None:
 
 
 def wait_for_work(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait until a process has used so much CPU time: how busy others are does not
-    matter.
+    """Wait until the worker of a process has used so much CPU time: how busy others are
+    does not matter.
     """
     ticks = os.sysconf("SC_CLK_TCK")
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while process.poll() is None:
-        fields = (
-            Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-        )
-        if sum(map(int, fields[11:13])) >= seconds * ticks:
-            return
+        for worker in children.read_text().split():
+            fields = Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()
+            if sum(map(int, fields[11:13])) >= seconds * ticks:
+                return
         time.sleep(0.02)
 
 

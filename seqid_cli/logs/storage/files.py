@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from seqid_cli.being_read import being_read
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.remote import StoredLog, is_url, stored_logs
 from seqid_cli.logs.tables.csv_form import is_text, nameless, read_form
@@ -194,7 +195,8 @@ def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
     """
     try:
         state = before or state_of(path)
-        yield
+        with being_read(path):
+            yield
         is_same = state_of(path) == state
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from seqid_cli.being_read import being_read
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
@@ -179,9 +180,12 @@ def read_tables(
         The file is damaged, or a column holds texts.
     """
     try:
-        with opened_table(
-            path, pre_buffer=False, page_checksum_verification=True
-        ) as file:
+        with (
+            being_read(path),
+            opened_table(
+                path, pre_buffer=False, page_checksum_verification=True
+            ) as file,
+        ):
             _refuse_texts(path, file, columns)
             if rows is None:
                 yield file.read(columns=list(columns))
@@ -227,7 +231,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         Names of the robot file. The file may name the elements of its lists by them.
     """
     try:
-        with opened_table(path) as file:
+        with being_read(path), opened_table(path) as file:
             fields = _flattened(file.schema_arrow.empty_table()).schema
             lists: dict[str, int] = {}
             for each in fields:
@@ -345,7 +349,7 @@ def _entries(joints: Sequence[str], element_names: Sequence[str]) -> dict[str, i
 def list_columns(path: Path) -> tuple[str, ...]:
     """List the names of columns as the file has them."""
     try:
-        with opened_table(path) as file:
+        with being_read(path), opened_table(path) as file:
             return tuple(file.schema.column(i).path for i in range(len(file.schema)))
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error

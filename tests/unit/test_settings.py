@@ -55,6 +55,9 @@ def test_every_setting_has_unit_reason_and_bounds_around_its_default(name: str) 
             changed = overridden(ALL[name], [f"{entry.name}={end!r}"])
             values = {one.name: one.value for one in entries(changed)}
             assert values[entry.name] == end
+            # A value below its default is changed as well as one above.
+            told = [one.name for one in entries(changed) if one.changed]
+            assert told == ([entry.name] if end != entry.default else [])
 
 
 def test_settings_are_few() -> None:

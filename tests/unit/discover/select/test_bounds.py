@@ -67,6 +67,10 @@ def test_what_a_law_does_not_tell_is_an_error_as_well() -> None:
     assert moved([0.1, -0.006], 1e-6, share=0.04) == [pytest.approx(0.1), 0.0]
 
 
+def test_the_error_of_a_law_goes_by_the_largest_column_however_small() -> None:
+    assert moved([0.1, -0.03], 1e-6, share=0.04) == [0.1, -0.03]
+
+
 def test_the_others_are_what_they_are_at_the_bound() -> None:
     assert moved([0.1, -0.01], 0.01, correlation=0.5) == pytest.approx([0.105, 0.0])
 

@@ -15,7 +15,8 @@ from tests import ROOT
 from tests.commands.conftest import SAMPLE_LOGS, Rig
 from tests.studies.fuzz import run
 from tests.studies.fuzz.answers import answer
-from tests.studies.fuzz.targets import Target, targets
+from tests.studies.fuzz.target import Target
+from tests.studies.fuzz.targets import targets
 from tests.unit.inspect.faults import read_columns, write_columns
 
 SIX = SAMPLE_LOGS / "six_joint"

@@ -16,10 +16,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from tests.studies.fuzz.run import LONGEST, Outcome, Tally, fuzz
-from tests.studies.fuzz.targets import Target, targets
+from tests.studies.fuzz.run import LONGEST, SLICE, Outcome, Tally, fuzz
+from tests.studies.fuzz.target import Target
+from tests.studies.fuzz.targets import targets
 from tests.studies.tables import show, table
 
 HEADER = (
@@ -33,7 +35,7 @@ HEADER = (
     "peak, MiB",
 )
 # Inputs of a target before the next has its turn, and where time is short.
-ROUND, SHORT_ROUND = 100, 10
+ROUND, SHORT_ROUND = SLICE, 10
 
 
 def main() -> int:
@@ -43,6 +45,9 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="in all")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--readers", action="store_true", help="without commands around the readers"
+    )
     parser.add_argument("--only", default="", help="kinds with this in their name")
     parser.add_argument(
         "--keep", type=Path, default=Path("out/fuzz"), help="folder for finds"
@@ -55,6 +60,10 @@ def main() -> int:
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         made = [target for target in targets(Path(name)) if chosen.only in target.name]
+        if chosen.readers:
+            made = [
+                replace(target, lines=[target.alone]) for target in made if target.alone
+            ]
         corpus = chosen.keep / "corpus"
         tallies = {target.name: Tally(kept=_read(corpus, target)) for target in made}
         turn = ROUND if chosen.seconds == float("inf") else SHORT_ROUND
@@ -74,7 +83,8 @@ def main() -> int:
                 sys.stderr.write(f"{target.name}: {told}\n")
             if time.monotonic() > end:
                 break
-    show("evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
+    study = "fuzz_readers" if chosen.readers else "fuzz"
+    show("evidence/damage.md", study, table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if any(tally.finds for tally in tallies.values()) else 0
 
 

@@ -5,7 +5,7 @@ import io
 import re
 import signal
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from seqid_cli.__main__ import main
 from seqid_cli.visible import visible
@@ -21,7 +21,11 @@ def _hang(number: int, frame: object) -> None:
     raise Hang
 
 
-def answer(arguments: Sequence[str], cpu_s: float = CPU_S) -> tuple[int, str, str]:
+def answer(
+    arguments: Sequence[str],
+    cpu_s: float = CPU_S,
+    program: Callable[[Sequence[str]], int] = main,
+) -> tuple[int, str, str]:
     """Run a command line; returns its exit code, what it said, and what is wrong with
     that.
     """
@@ -31,7 +35,7 @@ def answer(arguments: Sequence[str], cpu_s: float = CPU_S) -> tuple[int, str, st
         signal.signal(signal.SIGPROF, _hang)
         signal.setitimer(signal.ITIMER_PROF, cpu_s)
         try:
-            code = main(arguments)
+            code = program(arguments)
         except Hang:
             why = f"more than {cpu_s} s"
         except BaseException as error:

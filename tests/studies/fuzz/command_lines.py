@@ -12,8 +12,7 @@ from itertools import product
 from typer.core import TyperArgument, TyperOption
 
 from seqid_cli.commands.app import COMMANDS, load_command
-
-Line = tuple[str, ...]  # of a command; {} is the damaged file, {@} the folder
+from tests.studies.fuzz.target import Line
 
 # Kinds of input, by the names of the parameters that read them.
 KINDS = {
@@ -65,8 +64,12 @@ _OUTPUTS = {
     "run": ("{@}/out",),
 }
 _PLANS = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation")
-# What keeps a line short, of which there are to be many.
-_MORE = {"run": ("--no-refine", "--force"), "refine": ("--rounds", "1")}
+# What keeps a line short, of which there are to be many; what a command needs two of.
+_MORE = {
+    "run": ("--no-refine", "--force"),
+    "refine": ("--rounds", "1"),
+    "trend": ("{@}/later.json",),
+}
 
 
 def reading_places(command: str) -> dict[str, str]:
@@ -89,6 +92,11 @@ def lines_for(kind: str) -> list[Line]:
         if read == kind
         for line in _lines_of(command, place)
     ]
+
+
+def sound_lines() -> list[Line]:
+    """Return lines of every command with sound files in all places."""
+    return [line for command in COMMANDS for line in _lines_of(command, "")]
 
 
 def _lines_of(command: str, damaged: str) -> Iterator[Line]:

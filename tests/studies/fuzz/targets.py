@@ -1,7 +1,7 @@
 """What is fuzzed: sound files of every kind, and the command lines that read them."""
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -13,8 +13,9 @@ from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
+from tests.studies.fuzz import readers
 from tests.studies.fuzz.answers import answer
-from tests.studies.fuzz.command_lines import Line, lines_for
+from tests.studies.fuzz.command_lines import lines_for
 from tests.studies.fuzz.mutations import BINARY, TEXT, Damage, word
 from tests.studies.fuzz.shapes import (
     csv_shape,
@@ -26,6 +27,7 @@ from tests.studies.fuzz.shapes import (
     xml_shape,
 )
 from tests.studies.fuzz.structured import column, element, record, row, value
+from tests.studies.fuzz.target import Line, Target
 from tests.studies.fuzz.thrift import footer, page
 from tests.unit.drive.test_command import bench
 from tests.unit.inspect.faults import SAMPLES
@@ -76,7 +78,8 @@ joint = "elbow"
 torque = "c1 * sin(p * dq_1) + c2 * tanh(dq / p) * abs(load) ** 2"
 settings = { p = [0.5, 4.0] }
 """
-LOG = "folder/inertia/log"  # in a folder for `run`
+# In a folder for `run`, which goes by the suffix; the content tells the format.
+LOG = "folder/inertia/log.parquet"
 _URDF = """<?xml version="1.0"?>
 <robot name="arm">
   <link name="base"/>
@@ -105,25 +108,11 @@ _TRIALS = {
 }
 
 
-@dataclass(frozen=True)
-class Target:
-    """A kind of file: the name it gets, sound ones, ways to damage them, and who reads
-    it; what else is in the folder.
-    """
-
-    name: str
-    file: str
-    seeds: Sequence[bytes]
-    damages: Sequence[Damage]
-    lines: Sequence[Line]
-    beside: Mapping[str, bytes] = field(default_factory=dict)
-
-
 def targets(work: Path) -> list[Target]:
-    arm, sample = _arm(work), _sample(work)
+    arm, sample = _arm(work), sample_files(work)
     every = [*_logs(work, arm), *_robots(arm, sample), *_documents(work, arm, sample)]
     trials = [sample[name] for name in _TRIALS]
-    log = Target("Parquet, trials", LOG, trials, PARQUET, lines_for("log"), sample)
+    log = Target("Parquet, trials", LOG, trials, PARQUET, lines_for("log"), (), sample)
     return [*every, log]
 
 
@@ -138,10 +127,12 @@ def _robots(arm: Mapping[str, bytes], sample: Mapping[str, bytes]) -> list[Targe
     ]
     urdfs, beside = [arm["arm.urdf"]], {**arm, "robot.toml": by_urdf}
     own = [sample["robot.toml"]]
+    alone = readers.ROBOT
+    (by_robot,) = _in_place_of("{}", "{@}/robot.toml", [alone])
     return [
-        Target("robot.toml", "damaged.toml", kinds, TOML, lines, arm),
-        Target("robot.toml, trials", "damaged.toml", own, TOML, lines, sample),
-        Target("URDF", "arm.urdf", urdfs, XML, drawn, beside),
+        Target("robot.toml", "damaged.toml", kinds, TOML, lines, alone, arm),
+        Target("robot.toml, trials", "damaged.toml", own, TOML, lines, (), sample),
+        Target("URDF", "arm.urdf", urdfs, XML, drawn, by_robot, beside),
     ]
 
 
@@ -168,12 +159,13 @@ def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
         **logs,
         "robot.toml": robot.read_bytes(),
         "model.json": _light(model),
+        "later.json": _later(_light(model)),
         "arm.urdf": _URDF.encode(),
-        "folder/inertia/log": short,
+        "folder/inertia/log.parquet": short,
     }
 
 
-def _sample(work: Path) -> dict[str, bytes]:
+def sample_files(work: Path) -> dict[str, bytes]:
     """The sample robot of one joint, with a log for each stage."""
     logs = {
         name: (_SAMPLE / f"{path}.parquet").read_bytes()
@@ -183,8 +175,12 @@ def _sample(work: Path) -> dict[str, bytes]:
         **logs,
         "robot.toml": (_SAMPLE / "robot.toml").read_bytes(),
         "model.json": _light(_SAMPLE / "golden.json"),
+        "later.json": _later(_light(_SAMPLE / "golden.json")),
         "arm.urdf": _URDF.encode(),
-        "folder/gravity/log": logs["gravity"],
+        "folder/friction/log.parquet": logs["friction"],
+        "folder/gravity/log.parquet": logs["gravity"],
+        "folder/inertia/log.parquet": logs["inertia"],
+        "folder/validation/log.parquet": logs["log"],
     }
 
 
@@ -199,6 +195,12 @@ def _light(path: Path) -> bytes:
             for k, row in enumerate(joint.covariance)
         ]
     return encode(model).encode()
+
+
+def _later(model: bytes) -> bytes:
+    """Return a parameter file of another date."""
+    document = json.loads(model) | {"created": "2031-01-01T00:00:00Z"}
+    return json.dumps(document).encode()
 
 
 def _done(*line: str) -> None:
@@ -218,7 +220,7 @@ def _logs(work: Path, arm: Mapping[str, bytes]) -> list[Target]:
         ]
 
     cdr = made("mcap_cdr", formats.mcap_cdr, formats.mcap_dynamic, _with_imus)
-    json = made(
+    texts = made(
         "mcap_json",
         formats.mcap_json,
         formats.mcap_foxglove_json,
@@ -227,7 +229,7 @@ def _logs(work: Path, arm: Mapping[str, bytes]) -> list[Target]:
     bag = made("rosbag2", formats.rosbag2_sqlite)
     logs: dict[str, tuple[list[bytes], Sequence[Damage]]] = {
         "MCAP, CDR": (cdr + _rewritten(work, cdr), MCAP),
-        "MCAP, JSON": (json + _rewritten(work, json), MCAP),
+        "MCAP, JSON": (texts + _rewritten(work, texts), MCAP),
         "MCAP, protobuf": (made("protobuf", formats.mcap_foxglove_protobuf), MCAP),
         "Parquet": (made("parquet", formats.parquet, _plain), PARQUET),
         "Parquet, LeRobot episodes": (
@@ -243,12 +245,17 @@ def _logs(work: Path, arm: Mapping[str, bytes]) -> list[Target]:
     }
     lines = lines_for("log")
     found = [
-        Target(name, LOG, seeds, how, lines, arm) for name, (seeds, how) in logs.items()
+        Target(name, LOG, seeds, how, lines, readers.LOG, arm)
+        for name, (seeds, how) in logs.items()
     ]
     yaml = [(work / "rosbag2" / "0" / "metadata.yaml").read_bytes()]
     name, bag_lines = "ROS 2 bag: metadata.yaml", _in_place_of("{}", "{@}/bag", lines)
+    (alone,) = _in_place_of("{}", "{@}/bag", [readers.LOG])
     beside = {**arm, "bag/0.db3": bag[0]}
-    return [*found, Target(name, "bag/metadata.yaml", yaml, TEXT, bag_lines, beside)]
+    return [
+        *found,
+        Target(name, "bag/metadata.yaml", yaml, TEXT, bag_lines, alone, beside),
+    ]
 
 
 def _in_place_of(word: str, other: str, lines: Sequence[Line]) -> list[Line]:
@@ -306,7 +313,7 @@ def _documents(
     report = lines_for("document")
     report += [(*line, "--torques", "{@}/torques.parquet") for line in report]
     own = lines_for("parameters")
-    driven = _driven(work)
+    driven = driven_files(work)
     kinds: dict[str, tuple[list[bytes], list[Line], Mapping[str, bytes]]] = {
         "parameters": ([full, arm["model.json"]], own, more),
         "parameters, trials": ([sample["model.json"]], own, {**more, **sample}),
@@ -322,17 +329,33 @@ def _documents(
     for name, content in others.items():
         kinds[name] = [encode(content).encode()], [], more
     reported = [
-        Target(name, "file.json", seeds, JSON, [*lines, *report], beside)
+        Target(
+            name=name,
+            file="file.json",
+            seeds=seeds,
+            damages=JSON,
+            lines=[*lines, *report],
+            alone=() if "trials" in name else readers.RESULT,
+            beside=beside,
+        )
         for name, (seeds, lines, beside) in kinds.items()
     ]
     by_prediction = _in_place_of(
         "{@}/model.json", "{@}/prediction.json", lines_for("torques")
     )
-    name = "torques.parquet"
-    return [*reported, Target("torques", name, [torques], PARQUET, by_prediction, more)]
+    drawn = Target(
+        name="torques",
+        file="torques.parquet",
+        seeds=[torques],
+        damages=PARQUET,
+        lines=by_prediction,
+        alone=readers.TORQUES,
+        beside=more,
+    )
+    return [*reported, drawn]
 
 
-def _driven(work: Path) -> dict[str, bytes]:
+def driven_files(work: Path) -> dict[str, bytes]:
     """A joint with its controller: a robot file, a log with commands, a drive."""
     folder = work / "driven"
     folder.mkdir()

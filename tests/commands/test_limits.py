@@ -1,26 +1,16 @@
 """Logs that change or vanish, little memory, long logs; commands killed or on a full
 disk.
-
-Whenever a tormented command begins to write a file, it is forked: each fork goes on
-from there and is killed at a random call or return of the writing, or may write so many
-bytes only. After each the old file or the new one must be there, whole. In the end the
-first process writes, and nothing else may lie in the folder.
 """
 
 import json
-import math
 import os
-import random
 import resource
 import shutil
-import signal
 import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -35,13 +25,12 @@ from seqid_cli.logs import long as long_logs
 from seqid_cli.logs import pieces
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.motion import blocks
-from seqid_cli.params import files
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.commands.conftest import ONE_JOINT, Rig
 from tests.plants.robots.seven_joint import known_model, write_arm, write_log
-from tests.studies.fuzz.answers import answer
+from tests.studies.kills import torment
 from tests.studies.soak import write_log as write_hours
 
 ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
@@ -216,9 +205,6 @@ def test_long_logs_give_the_same_files(
             np.testing.assert_array_equal(values, wanted, err_msg=name)
 
 
-# calls and returns after a file has its name, in which it may be killed as well
-AFTER = 2
-OLD = b"what was there before\n"
 PREDICT = ("predict", str(ONE_JOINT / "validation"), *ROBOT, *MODEL, "-o", "a.json")
 COMMANDS = {
     "friction": ("friction", str(ONE_JOINT / "friction"), *ROBOT, "-o", "a.json"),
@@ -239,128 +225,6 @@ COMMANDS = {
 }
 
 
-@dataclass
-class Forks:
-    """How many there shall be of each file, and what came of them.
-
-    `inside` were killed when a temporary file was there; `seen` is what stood in a file
-    afterwards other than the old content, and `wrong` what must not be.
-    """
-
-    kills: int
-    points: int
-    sizes: dict[Path, int]
-    rng: random.Random = field(default_factory=lambda: random.Random(0))
-    killed: int = 0
-    inside: int = 0
-    seen: list[tuple[Path, bytes]] = field(default_factory=list)
-    wrong: list[str] = field(default_factory=list)
-
-    def of(self, target: Path) -> bool:
-        """Fork before a file is written; returns True in a fork."""
-        target.write_bytes(OLD)
-        read, write = os.pipe()
-        child = os.fork()
-        if not child:
-            _count_events(write, target)
-            return True
-        os.close(write)
-        with os.fdopen(read) as told:
-            first, last = map(int, told.read().split())
-        os.waitpid(child, 0)
-        self._look(target)
-        for left in reversed(range(self.kills)):
-            at = self.rng.randint(first, last) if left else first + 1
-            child = os.fork()
-            if not child:
-                _die_at(at)
-                return True
-            killed = (
-                os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
-            )
-            self.killed += killed
-            for rest in files.leftovers(target):
-                self.inside += 1
-                if left:  # the last is for the next run
-                    rest.unlink()
-            self._look(target)
-        for number in range(self.points):
-            room = self.sizes[target] * number // self.points
-            child = os.fork()
-            if not child:
-                resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-                return True
-            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-            if code != 2 or any(files.leftovers(target)):
-                self.wrong.append(
-                    f"{target.name}: {code} or litter with room for {room} bytes"
-                )
-            self._look(target)
-        return False
-
-    def _look(self, target: Path) -> None:
-        content = target.read_bytes()
-        if content != OLD:
-            self.seen.append((target, content))
-            target.write_bytes(OLD)
-
-
-def _count_events(pipe: int, target: Path) -> None:
-    """Tell between which calls and returns a file is written and gets its name."""
-    count = first = 0
-
-    def profile(frame: FrameType, event: str, _: object) -> None:
-        nonlocal count, first
-        count += 1
-        if not first and any(files.leftovers(target)):
-            first = count
-        if event == "return" and frame.f_code.co_name == "replace":
-            sys.setprofile(None)
-            os.write(pipe, f"{first} {count + AFTER}".encode())
-            os.close(pipe)
-
-    sys.setprofile(profile)
-
-
-def _die_at(last: int) -> None:
-    count = 0
-
-    def profile(*_: object) -> None:
-        nonlocal count
-        count += 1
-        if count >= last:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.setprofile(profile)
-
-
-def run_in(
-    folder: Path,
-    line: tuple[str, ...],
-    patch: pytest.MonkeyPatch,
-    before: Callable[[Path], object],
-) -> None:
-    """Run a command in an empty folder, and something before each file; a fork ends
-    here.
-    """
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    parent, own = os.getpid(), files._without_leftovers
-
-    def hooked(target: Path) -> None:
-        before(target.resolve())
-        own(target)
-
-    with patch.context() as own_patch:
-        own_patch.chdir(folder)
-        own_patch.setattr(files, "_without_leftovers", hooked)
-        code, said, why = answer(list(line), 600.0)
-    if os.getpid() != parent:
-        os._exit(70 if why else code)
-    assert code in (0, 1), said
-    assert not why, said
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
@@ -374,20 +238,11 @@ def run_in(
         pytest.param("plan", 1, marks=pytest.mark.slow),
     ],
 )
-def test_old_files_stay_whole(
-    name: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, line, parent = tmp_path / "out", COMMANDS[name], os.getpid()
+def test_old_files_stay_whole(name: str, count: int, tmp_path: Path) -> None:
     later = json.loads(Path(MODEL[1]).read_text()) | {"created": "2031-01-01T00:00:00Z"}
     (tmp_path / "later.json").write_text(json.dumps(later))
-    targets: list[Path] = []
-    run_in(folder, line, monkeypatch, targets.append)
-    sizes = {target: target.stat().st_size for target in targets}
-    forks = Forks(math.ceil(12 / count), math.ceil(6 / count), sizes)
-    run_in(folder, line, monkeypatch, lambda x: os.getpid() == parent and forks.of(x))
+    forks, n_files = torment(tmp_path / "out", COMMANDS[name], kills=12, points=6)
     assert not forks.wrong
-    assert [path for path, content in forks.seen if content != path.read_bytes()] == []
-    assert {path for path in folder.rglob("*") if path.is_file()} == set(sizes)
-    assert len(sizes) == count
+    assert n_files == count
     assert forks.killed >= 10
     assert forks.inside

@@ -1,6 +1,4 @@
-"""Torques that say nothing: no bug, no number that no log can mean, no verdict above
-poor.
-"""
+"""No number that no log can mean: of torques that say nothing, and of every command."""
 
 import json
 from pathlib import Path
@@ -8,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.commands.app import COMMANDS
 from tests.commands.conftest import Rig
 from tests.senseless import senseless
+from tests.studies.fuzz.command_lines import sound_lines
+from tests.studies.fuzz.sound import sound_commands
 from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
 
 RIG = SAMPLES / "one_joint"
@@ -75,3 +76,35 @@ def test_a_channel_that_is_mostly_missing_makes_no_good_model(
     done = rig.run("friction", "log.parquet", *ROBOT, "-o", "f.json", "--strict")
     assert done.code == 1
     assert "[values_lost] joint_1" in done.err
+
+
+# The completion of a shell has no result: it is a script.
+RESULTS = [line for line in sound_lines() if line[0] != "completion"]
+
+
+def test_every_command_has_a_line_on_sound_files() -> None:
+    assert {line[0] for line in RESULTS} == set(COMMANDS) - {"completion"}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> list[list[str]]:
+    work = tmp_path_factory.mktemp("sound")
+    lines = [words for _, words in sound_commands(work)]
+    return [words for words in lines if words[0] != "completion"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "number", range(len(RESULTS)), ids=[" ".join(x[:2]) for x in RESULTS]
+)
+def test_no_command_says_a_number_without_sense(
+    number: int, sound: list[list[str]], rig: Rig
+) -> None:
+    """Of every command in the table: what it prints as JSON, and every JSON file."""
+    done = rig.run(*sound[number], "--json")
+    assert done.code in (0, 1), done.err
+    documents = {"--json": json.loads(done.out)}
+    for path in rig.folder.rglob("*.json"):
+        documents[path.name] = json.loads(path.read_text())
+    for name, document in documents.items():
+        assert not list(senseless(document, name)), name

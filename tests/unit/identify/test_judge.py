@@ -61,6 +61,12 @@ def test_a_stage_is_no_better_than_one_that_it_rests_on(one_joint: Rig) -> None:
     assert not list(verdicts_by_earlier("inertia", sound))
     assert not list(verdicts_by_earlier("inertia", Stages()))
 
+    # A good stage does not hide another that is not.
+    poor_gravity = replace(one_joint.gravity, verdicts=poor_friction.verdicts)
+    mixed = Stages(friction=one_joint.friction, gravity=poor_gravity)
+    (verdict,) = verdicts_by_earlier("inertia", mixed)
+    assert verdict.reason == "rests on the gravity stage, which is poor"
+
 
 def test_a_whole_is_as_good_as_its_joints() -> None:
     good = Verdict(joint="a", good=True)

@@ -44,7 +44,13 @@ def watched() -> int | None:
         signal.pthread_sigmask(signal.SIG_BLOCK, taken)
         alive_end, watcher_end = os.pipe()
         watcher = os.getpid()
-        child = os.fork()
+        try:
+            child = os.fork()
+        except OSError:  # no more processes are allowed: it works unwatched
+            os.close(alive_end)
+            os.close(watcher_end)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, taken)
+            return None
         if not child:
             os.close(watcher_end)
             _die_with(watcher, alive_end)

@@ -35,15 +35,20 @@ def stopped():
     return words()
 completion.all_words = stopped
 
+{before}
 from seqid_cli.__main__ import main
 sys.exit(main())
 """
 
 
 def started(
-    folder: Path, *words: str, ends_by: str = "SIGABRT", stop: str = ""
+    folder: Path,
+    *words: str,
+    ends_by: str = "SIGABRT",
+    stop: str = "pass",
+    before: str = "",
 ) -> subprocess.Popen[str]:
-    program = PROGRAM.format(signal=ends_by, stop=stop or "pass")
+    program = PROGRAM.format(signal=ends_by, stop=stop, before=before)
     (folder / "program.py").write_text(program)
     return subprocess.Popen(
         [sys.executable, "-m", "program", *words],
@@ -117,6 +122,17 @@ def test_a_process_that_is_killed_says_why(tmp_path: Path) -> None:
     code, _, err = ran(tmp_path, "completion", "bash", stop=stop)
     assert code == 2
     assert "killed, most likely because memory ran out" in err
+
+
+def test_where_no_process_can_be_had_it_works_unwatched(tmp_path: Path) -> None:
+    refused = """
+def refused():
+    raise BlockingIOError("no more processes")
+os.fork = refused
+"""
+    code, out, err = ran(tmp_path, "completion", "bash", before=refused)
+    assert (code, err) == (0, "")
+    assert out
 
 
 SLEEPS = "print(os.getpid(), flush=True); time.sleep(60)"

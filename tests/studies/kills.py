@@ -16,7 +16,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -49,18 +49,17 @@ HEADER = (
 class Forks:
     """How many there shall be of each file, and what came of them.
 
-    `inside` were killed when a temporary file was there, or interrupted before the
-    command was done; `seen` is what stood in a file afterwards other than the old
-    content, and `wrong` what must not be.
+    `kills` and `points` are of each file that is written. `inside` were killed when a
+    temporary file was there, or interrupted before the command was done; `wrong` is
+    what must not be.
     """
 
     kills: int
     points: int
-    sizes: Mapping[Path, int]
     rng: random.Random = field(default_factory=lambda: random.Random(0))
     killed: int = 0
     inside: int = 0
-    seen: list[tuple[Path, bytes]] = field(default_factory=list)
+    too_small: int = 0
     wrong: list[str] = field(default_factory=list)
 
     def of(self, target: Path) -> bool:
@@ -75,7 +74,9 @@ class Forks:
         with os.fdopen(read) as told:
             first, last = map(int, told.read().split())
         os.waitpid(child, 0)
-        self._look(target)
+        # Some files are written again and again, each time with more in them.
+        whole = target.read_bytes()
+        target.write_bytes(OLD)
 
         for left in reversed(range(self.kills)):
             number = SIGNALS[left % len(SIGNALS)]
@@ -86,19 +87,21 @@ class Forks:
                 return True
             code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
             self._account(target, number, code, is_last=not left)
+            self._look(target, whole)
 
         for number in range(self.points):
-            room = self.sizes[target] * number // self.points
+            room = len(whole) * number // self.points
             child = os.fork()
             if not child:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
                 return True
             code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            self.too_small += 1
             if code != 2 or any(files.leftovers(target)):
                 self.wrong.append(
                     f"{target.name}: {code} or litter with room for {room} bytes"
                 )
-            self._look(target)
+            self._look(target, whole)
         return False
 
     def _account(self, target: Path, number: int, code: int, *, is_last: bool) -> None:
@@ -114,13 +117,12 @@ class Forks:
             self.inside += code == EXIT_INTERRUPTED
             if litter or code not in (0, 1, EXIT_INTERRUPTED):
                 self.wrong.append(f"{target.name}: {code} or litter after SIGINT")
-        self._look(target)
 
-    def _look(self, target: Path) -> None:
-        content = target.read_bytes()
-        if content != OLD:
-            self.seen.append((target, content))
-            target.write_bytes(OLD)
+    def _look(self, target: Path, whole: bytes) -> None:
+        """Note a file that is neither the old one nor the whole new one."""
+        if target.read_bytes() not in (OLD, whole):
+            self.wrong.append(f"{target.name} is half written")
+        target.write_bytes(OLD)
 
 
 def _count_events(pipe: int, target: Path) -> None:
@@ -193,22 +195,15 @@ def torment(
         The files that the command writes.
     """
     parent = os.getpid()
-    targets: list[Path] = []
-    run_in(folder, line, targets.append)
-    sizes = {target: target.stat().st_size for target in targets}
-    if not sizes:
-        return Forks(0, 0, sizes), 0
-    forks = Forks(math.ceil(kills / len(sizes)), points, sizes)
+    written: list[Path] = []
+    run_in(folder, line, written.append)
+    targets = set(written)
+    forks = Forks(math.ceil(kills / max(len(written), 1)), points)
     run_in(folder, line, lambda x: os.getpid() == parent and forks.of(x))
 
-    forks.wrong += [
-        f"{path.name} is half written or another"
-        for path, content in forks.seen
-        if content != path.read_bytes()
-    ]
-    rest = {path for path in folder.rglob("*") if path.is_file()} ^ set(sizes)
+    rest = {path for path in folder.rglob("*") if path.is_file()} ^ targets
     forks.wrong += [f"{path.name} is left over or missing" for path in rest]
-    return forks, len(sizes)
+    return forks, len(targets)
 
 
 def main() -> int:
@@ -235,7 +230,7 @@ def main() -> int:
                 wrong.append(str(error))
                 sys.stderr.write(f"{error}\n")
                 continue
-            counts = (n_files, forks.killed, forks.inside, n_files * forks.points)
+            counts = (n_files, forks.killed, forks.inside, forks.too_small)
             cells.append([label, *map(str, (*counts, len(forks.wrong)))])
             wrong += [f"{label}: {text}" for text in forks.wrong]
             sys.stderr.write(f"{' '.join(cells[-1])} {forks.wrong[:3]}\n")

@@ -518,13 +518,14 @@ def is_in_reach_of_others(
     residual: Array,
     *,
     margin: float = 0.02,
-    least: float = 0.5,
+    least: float = 0.25,
 ) -> bool:
     """Return whether an event stands out where its joints get at other times as well.
 
     A law that acts at the end of a joint's way, or at its top speed, acts whenever the
     joint gets there. If it gets there in what stands out alone, nothing tells such a
-    law from a push.
+    law from a push. Such a law does nothing where the joint gets at other times; a push
+    is there about as large as beyond.
 
     Parameters
     ----------
@@ -539,7 +540,8 @@ def is_in_reach_of_others(
     margin : float
         Share of the range at other times, by which a joint may leave it.
     least : float
-        Share of the event's squares that must lie in that range.
+        Of the event's mean square, that it must have in that range, and of its samples
+        where it is short.
     """
     elsewhere: list[Mask] = []
     for number, scene in enumerate(scenes):
@@ -553,11 +555,12 @@ def is_in_reach_of_others(
 
     own = scenes[event.scene]
     inside = event.inside(own)
-    total = 0.0
-    in_reach = 0.0
+    squares_of_all: list[Array] = []
+    squares_in_reach: list[Array] = []
     for joint in event.joints:
-        squares = np.where(own.slides[inside, joint], residual[inside, joint], 0.0) ** 2
-        is_reached = np.ones(len(squares), dtype=bool)
+        slides = own.slides[inside, joint]
+        squares = residual[inside, joint] ** 2
+        is_reached = slides.copy()
         for quantity in ("q", "dq"):
             at_other_times = np.concatenate(
                 [
@@ -570,9 +573,13 @@ def is_in_reach_of_others(
             room = margin * (high - low)
             values = getattr(own.motion, quantity)[inside, joint]
             is_reached &= (values >= low - room) & (values <= high + room)
-        total += float(squares.sum())
-        in_reach += float(squares[is_reached].sum())
-    return in_reach >= least * total
+        squares_of_all.append(squares[slides])
+        squares_in_reach.append(squares[is_reached])
+    of_all = np.concatenate(squares_of_all)
+    in_reach = np.concatenate(squares_in_reach)
+    if len(in_reach) < min(KNOWN_S * own.motion.rate_hz, least * len(of_all)):
+        return False
+    return bool(np.mean(in_reach) >= least * np.mean(of_all))
 
 
 def _not_fitted(

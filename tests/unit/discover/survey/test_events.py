@@ -220,6 +220,25 @@ def test_a_stop_where_a_joint_is_nowhere_else_is_no_event(
     assert is_event == expected
 
 
+@pytest.mark.parametrize(("begins", "expected"), [(False, True), (True, False)])
+def test_a_push_that_moves_the_arm_far_off_is_as_large_on_the_way(
+    model: Model, begins: bool, expected: bool
+) -> None:
+    """A law of the end of the way `begins` where the joint is nowhere else."""
+    scenes = list(model.ground.stage.scenes)
+    motion = scenes[0].motion
+    inside = PUSH.inside(scenes[0])
+    far = inside & (np.cumsum(inside) > 0.4 * inside.sum())
+    q = motion.q.copy()
+    q[far, 1] += 2.0 * np.ptp(q[:, 1])
+    scenes[0] = replace(scenes[0], motion=replace(motion, q=q))
+    residual = np.ones_like(q)
+    if begins:
+        residual[~far] = 0.0
+    is_event = investigate.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
+    assert is_event == expected
+
+
 def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:
     """Another joint's load turns round at five moments, in one of them a push lasts
     for 0.4 s: a sixth of the windows of that class are the push's own.

@@ -299,9 +299,11 @@ def event_confidences(investigation: Investigation) -> list[float]:
     """Return how sure each event is.
 
     A push stands alone. Where much more than noise is left all along, the largest
-    moment of it may be nothing else: it is no surer than its share in what is unknown
-    at its joints. A law that is not understood, and that a smooth function follows,
-    errs at moments: beside much of it odds are even that the event is one of these.
+    moment of it may be nothing else: it is no surer than the share that all events
+    have in what is unknown at its joints. Of a long push that swells and falls only
+    pieces stand out, and none of them speaks against another. A law that is not
+    understood, and that a smooth function follows, errs at moments: beside much of it
+    odds are even that the event is one of these.
     """
     events = investigation.events
     if not events:
@@ -313,7 +315,12 @@ def event_confidences(investigation: Investigation) -> list[float]:
         joints = list(event.joints)
         left = float(energies.left[joints].sum())
         of_functions = float(energies.of_functions[joints].sum())
-        share = energy / max(energy + left, 1e-300)
+        of_all = sum(
+            energy_of_other
+            for other, energy_of_other in zip(events, energies.of_events, strict=True)
+            if set(other.joints) & set(joints)
+        )
+        share = of_all / max(of_all + left, 1e-300)
         not_understood = of_functions / max(energy + of_functions, 1e-300)
         certainty = event.certainty(min_sigma) * share
         confidences.append(float(certainty * (1.0 - 0.5 * not_understood)))

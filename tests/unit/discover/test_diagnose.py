@@ -14,6 +14,7 @@ from seqid_cli.discover import verdict
 from seqid_cli.discover.candidates import CandidateColumns
 from seqid_cli.discover.diagnosis import described, diagnose
 from seqid_cli.discover.investigate import (
+    EventEnergies,
     Investigation,
     event_confidences,
     investigate,
@@ -243,6 +244,29 @@ def test_an_event_beside_a_larger_law_that_is_not_understood_is_not_sure() -> No
     (unsure,) = event_confidences(beside)
     assert unsure == pytest.approx(0.5 * sure, rel=0.2)
     assert unsure < OPTIONS.settings.evidence.min_confidence
+
+
+def test_pieces_of_a_push_do_not_speak_against_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = held_push()
+    found = investigate(case.logs, case.robot, case.stages, OPTIONS)
+    (push,) = found.events
+    middle = 0.5 * (push.start + push.end)
+    pieces = (replace(push, end=middle - 0.2), replace(push, start=middle + 0.2))
+    left = np.array([1.0, 1.0])
+    none = np.zeros(2)
+    monkeypatch.setattr(
+        "seqid_cli.discover.investigate.event_energies",
+        lambda told: EventEnergies(
+            of_events=[6.0 / len(told.events)] * len(told.events),
+            left=left,
+            of_functions=none,
+        ),
+    )
+    (whole,) = event_confidences(found)
+    of_pieces = event_confidences(replace(found, events=pieces))
+    assert of_pieces == pytest.approx([whole, whole], rel=1e-3)
 
 
 def test_samples_of_events_that_are_not_told_go_back_in(

@@ -153,8 +153,10 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## damaged files, two hours of log, into docs/evidence/damage.md (hours)
+study-trust: $(DEV) ## damaged files, kills, two hours of log, into docs/evidence/damage.md (hours)
+	$(BIN)/python -m tests.studies.fuzz --readers --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
+	$(BIN)/python -m tests.studies.kills --write
 	$(BIN)/python -m tests.studies.soak --write
 
 .PHONY: mutants

@@ -266,6 +266,9 @@ def _one(folder: Path, line: Sequence[str], patience: float) -> Outcome:
     program = read_alone if line[0] in READERS else main
     code, said, why = answer(line, patience, program)
     spent = time.process_time() - begun
+    # A library may swallow what its caller is stopped by.
+    if spent > patience:
+        why = why or f"took {spent:.1f} s"
     if any(folder.glob(".*.tmp")):
         why = why or "litter"
     if not why and code in (0, 1, 3):

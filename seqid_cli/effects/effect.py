@@ -478,6 +478,13 @@ class Effect:
         """
         return Axis(cast(Measure, self.over), joint) if self.over in MEASURES else None
 
+    def waves(self, scenes: Scenes, joint: int, settings: Settings) -> float:
+        """Return how many waves over a joint's travel the torque has; infinite if none.
+
+        A few of them are as smooth a function of the position as a spring is.
+        """
+        return np.inf
+
     def lacking(self, robot: Robot, joint: AnyJoint) -> str:
         """Return why parameters do not follow from coefficients; empty if they do."""
         if not self.apart or joint is None or not rotor_hidden(robot, joint):

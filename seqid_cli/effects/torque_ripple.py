@@ -391,6 +391,13 @@ class TorqueRipple(Effect):
         unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
+    def waves(self, scenes: Scenes, joint: int, settings: Settings) -> float:
+        """Return how many waves over a joint's travel a constant ripple has."""
+        if settings["law"]:
+            return np.inf
+        gear = abs(float(scenes[0].gear[joint]))
+        return settings["order"] * gear * travel(scenes, joint) / (2.0 * np.pi)
+
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Yield the usual orders, then strong and clear lines of every law."""
         gear = abs(float(scenes[0].gear[joint]))

@@ -49,6 +49,10 @@ from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
 
+# Waves of a ripple over a joint's travel, up to which it is as smooth as what a law of
+# the position gets wrong: the splines by which laws are looked for follow four.
+FEW_WAVES = 4.0
+
 
 def select(
     ground: SelectionProblem, catalogue: Sequence[Effect] | None = None
@@ -766,7 +770,9 @@ class Selection:
         if isinstance(beside.what, Candidate):
             is_elsewhere = term.name == beside.name and term.joint != beside.joint
             is_alike = (
-                beside.name in effect.alike or term.name in beside.what.effect.alike
+                beside.name in effect.alike
+                or term.name in beside.what.effect.alike
+                or self._are_of_position(term, beside)
             )
             # Where motor and link move apart no column of the rigid body is where it
             # seems: a change of the body is alike as well.
@@ -775,6 +781,22 @@ class Selection:
             if is_elsewhere or is_alike:
                 return float(np.sqrt(small))
         return 0.0 if effect.exact else small
+
+    def _are_of_position(self, term: Term, beside: Term) -> bool:
+        """Return whether one is a function of position, the other a few waves over it.
+
+        Such waves bend with what the function's law gets wrong.
+        """
+        function = term.what
+        ripple = beside.what
+        if not isinstance(function, Candidate) or not isinstance(ripple, Candidate):
+            return False
+        joint = function.joint
+        if joint is None or joint != ripple.joint or function.effect.sided:
+            return False
+        scenes = self.model.ground.stage.scenes
+        waves = ripple.effect.waves(scenes, joint, ripple.settings)
+        return function.effect.over == "position" and waves <= FEW_WAVES
 
 
 def _mirrored(term: Term) -> Mirrored | None:

@@ -23,7 +23,7 @@ from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.settings import DiscoverSettings, EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
-from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.scene import Scene, travel
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,
@@ -51,6 +51,7 @@ SOME = (
 SPEED = 0.3  # rad/s, of the hump
 WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 LATE_S = 0.02
+STOP = 6.0  # N m/rad^2
 LOSS = 0.05  # N m of friction per N m of load
 
 
@@ -183,6 +184,38 @@ def test_minus_a_body_is_no_payload() -> None:
     scenes = arm_scenes(lambda scene: -payload(scene))
     found = selected(scenes, ("payload",), stages=file_of(scenes[0]))
     assert ("payload", None) not in keys(found)
+
+
+def bent_spring(scene: Scene) -> Array:
+    """A rubber stop: no spring of the catalogue bends so."""
+    bent = np.maximum(scene.motion.q[:, 1] - 0.2, 0.0)
+    return -STOP * bent**2
+
+
+@pytest.mark.parametrize(("cycles", "share"), [(2.0, 0.2), (20.0, 0.04)])
+def test_a_few_waves_beside_a_spring_may_be_the_error_of_its_law(
+    cycles: float, share: float
+) -> None:
+    """`cycles` are over the joint's travel; finer waves are a law of their own."""
+    scenes = arm_scenes(at_joint(1, bent_spring), logs=2, seconds=8.0)
+    turns = scenes[0].gear[1] * travel(scenes, 1) / (2.0 * np.pi)
+    spring = candidate("spring", 1, cubic=1.0)
+    ripple = candidate("torque_ripple", 1, order=cycles / turns, law=0.0, lag=0.0)
+    model = Model(ground_of(scenes), FREE, [spring, ripple])
+    of_spring, of_ripple = model.terms
+    chosen = Selection(model, list(CATALOGUE.values()))
+    found = chosen._error_of_law(of_spring, of_ripple)
+    assert found == pytest.approx(share)
+
+
+@pytest.mark.slow
+def test_a_fine_ripple_beside_a_spring_is_told() -> None:
+    def both(scene: Scene) -> Array:
+        wave = np.sin(scene.gear[1] * scene.motion.q[:, 1])
+        return bent_spring(scene) + 0.1 * STOP * wave
+
+    found = selected(arm_scenes(at_joint(1, both)), ["spring", "torque_ripple"])
+    assert {("spring", 1), ("torque_ripple", 1)} <= set(keys(found))
 
 
 COUPLED = np.array([1.5, 0.3, 0.02])  # N m, N m s/rad, kg m^2

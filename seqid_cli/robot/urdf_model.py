@@ -286,13 +286,14 @@ def geometry_of(
 
 def _arm_with_shapes(robot: Robot, path: Path) -> tuple[Any, Any] | None:
     """Return the model of a robot's joints and its shapes; None if it has no shapes."""
-    xml = readable(read_urdf_text(path))
-    model = pin.buildModelFromXML(xml)
+    urdf = read_urdf_text(path)
+    xml = readable(urdf)
+    model = whole_model(urdf)
     # Meshes lie beside the URDF, above it, or in packages.
     folders = [str(folder) for folder in path.resolve().parents]
     folders += os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     try:
-        with warnings.catch_warnings():
+        with being_read(path), _silenced(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             shapes = pin.buildGeomFromUrdfString(model, xml, pin.COLLISION, folders)
     except ValueError:
@@ -371,7 +372,7 @@ def frame_points(robot: Robot) -> LinkPoints:
     """
     if robot.urdf is None:
         return LinkPoints.none()
-    model = pin.buildModelFromXML(readable(read_urdf_text(robot.urdf)))
+    model = whole_model(read_urdf_text(robot.urdf))
     others = _other_joints(model, robot.joint_names)
     reduced = pin.buildReducedModel(model, others, pin.neutral(model))
     frames = [frame for frame in reduced.frames if frame.parentJoint > 0]

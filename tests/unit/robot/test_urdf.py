@@ -9,6 +9,7 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
+from seqid_cli.robot.urdf_model import frame_points, geometry_of
 from tests.plants.robots import small
 from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import save_robot
@@ -174,6 +175,21 @@ def test_what_the_parser_of_the_library_prints_is_not_heard(
     with pytest.raises(ConfigError) as caught:
         save_robot(tmp_path, text, ("turn",))
     assert caught.value.where == str(tmp_path / "arm.urdf")
+    assert not capfd.readouterr().err
+
+
+def test_nor_when_links_are_read_once_more(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The inertia of a link lacks a number: the library goes on without that link's."""
+    text = urdf_6r()
+    first = text.index(" ixx=")
+    lacking = text[:first] + text[text.index(" ixy=", first) :]
+    robot = save_robot(tmp_path, text, NAMES_6R)
+    (tmp_path / "arm.urdf").write_text(lacking)
+    assert robot.urdf == tmp_path / "arm.urdf"
+    frame_points(robot)
+    geometry_of(robot, np.zeros((1, robot.n)))
     assert not capfd.readouterr().err
 
 

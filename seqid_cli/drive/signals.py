@@ -330,6 +330,27 @@ class _CurveOfStretches:
         return np.asarray(self.curves[nearest](held), np.float64)
 
 
+def beside_model(
+    speed: Array,
+    acceleration: Array,
+    *,
+    armature: Array,
+    viscous: Array,
+    coulomb: Array,
+) -> Array:
+    """Return the torque [N m] of rotors and friction that a model lacks.
+
+    Parameters
+    ----------
+    speed, acceleration : Array
+        rad/s, rad/s^2, of any shape.
+    armature, viscous, coulomb : Array
+        kg m^2, N m s/rad, N m, of a shape that goes with it.
+    """
+    of_friction = viscous * speed + coulomb * np.sign(speed)
+    return np.asarray(armature * acceleration + of_friction)
+
+
 def sum_of_steps(log: DriveSignals, joint: int, t: Array) -> Array:
     """Return the integral over time of a joint's held command at some times [rad s]."""
     times, column = log.command_steps(joint)

@@ -20,6 +20,7 @@ from seqid_cli.drive.signals import (
     STANDS_S,
     STANDS_STEPS,
     DriveSignals,
+    beside_model,
     command_at,
     slopes_at,
     table_for,
@@ -209,10 +210,13 @@ def _first_torque(drives: Gains, window: Window) -> Array:
     torque: Array = log.torque[window.start]
     if log.measured:
         return torque
-    speed = log.dq[window.start]
-    of_friction = drives.viscous * speed + drives.coulomb * np.sign(speed)
-    of_rotors = drives.armature * log.ddq[window.start]
-    return np.asarray(torque + of_rotors + of_friction)
+    return torque + beside_model(
+        log.dq[window.start],
+        log.ddq[window.start],
+        armature=drives.armature,
+        viscous=drives.viscous,
+        coulomb=drives.coulomb,
+    )
 
 
 def _stands(window: Window) -> Mask:

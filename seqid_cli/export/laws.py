@@ -35,7 +35,7 @@ from seqid_cli.effects.memory import (
     Rate,
     Rope,
 )
-from seqid_cli.effects.smooth import DEGREE, Axis, SmoothTerm
+from seqid_cli.effects.smooth import DEGREE, NOT_LOCAL, Axis, SmoothTerm
 from seqid_cli.export.composition import BaseModel, Code, is_timing, refuse_without_law
 from seqid_cli.export.syntax import Syntax
 from seqid_cli.export.text import plain, real
@@ -200,7 +200,7 @@ class _Writer:
         temperatures = [
             axis.joint for axis in term.axes if axis.measure == "temperature"
         ]
-        timed = measures & {"temperature", "time", "session_time", "recent_speed"}
+        timed = measures & {*NOT_LOCAL, "session_time"}
         lines = code.session if timed else code.instant
         lines += syntax.block(title, body, self._if_measured(temperatures))
 

@@ -6,7 +6,7 @@ prior. Where it says little (no torque, a model without friction) many starts ar
 simulated at once on a few windows, and the best ones are searched from.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -342,31 +342,32 @@ def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Array]:
     that part a search makes the joint as heavy as it takes to hide gravity. An integral
     may take the place of any of them, so that each is tried with one.
     """
-    gain, damping = (
-        next(each for each in unknowns.searched if each.name == name)
-        for name in (PROPORTIONAL, DERIVATIVE)
-    )
+    choice, *others = _structures(parts, unknowns)
+    for structure in others:
+        if structure.is_better(choice):
+            choice = structure
+    return choice.unknowns, choice.solution.theta
+
+
+def _structures(parts: Parts, unknowns: Unknowns) -> "Iterator[_Choice]":
+    """Yield parts that a controller may have, without and with an integral."""
+    by_name = {unknown.name: unknown for unknown in unknowns.searched}
+    gain = by_name[PROPORTIONAL]
+    damping = by_name[DERIVATIVE]
     speed = replace(damping, name=VELOCITY_FEEDFORWARD)
     gravity = Unknown(name=GRAVITY, start=1.0, std=GRAVITY_STD, positive=False)
     integral = _open(INTEGRAL, USUAL_INTEGRAL_HZ * gain.start)
-    choice: _Choice | None = None
-    for more in ([], [speed], [gravity], [speed, gravity]):
-        wider = unknowns.with_more(more)
+    for added in ([], [speed], [gravity], [speed, gravity]):
+        wider = unknowns.with_more(added)
         solution = _best_of(parts.fitted, wider)
-        found = _Choice.of(parts, wider, solution)
-        if choice is None or found.is_better(choice):
-            choice = found
+        yield _Choice.of(parts, wider, solution)
 
         # From where it has come to: gains and friction stay about as they are.
         scale = solution.theta[wider.names.index(PROPORTIONAL)] - gain.mean
         start = np.append(solution.theta, integral.mean + scale)
         with_integral = wider.with_more([integral])
         solution = solved(parts.fitted, with_integral, start)
-        found = _Choice.of(parts, with_integral, solution)
-        if found.is_better(choice):
-            choice = found
-    assert choice is not None
-    return choice.unknowns, choice.solution.theta
+        yield _Choice.of(parts, with_integral, solution)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ import numpy as np
 
 from seqid_cli.drive.friction_table import FrictionAlong, FrictionTable
 from seqid_cli.drive.rollouts.course import JointCourse
+from seqid_cli.drive.signals import beside_model
 from seqid_cli.logs.raw import Rows
 from seqid_cli.typing import Array
 
@@ -224,9 +225,13 @@ class _Integral:
         if course.logs[0].measured:
             return course.torque
         values = self.run.values
-        of_friction = values.viscous * v + values.coulomb * np.sign(v)
-        of_rotor = values.armature * course.acceleration
-        return np.asarray(course.torque + of_rotor + of_friction)
+        return course.torque + beside_model(
+            v,
+            course.acceleration,
+            armature=values.armature,
+            viscous=values.viscous,
+            coulomb=values.coulomb,
+        )
 
 
 def _pieces(steps: int) -> list[range]:

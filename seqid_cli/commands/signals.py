@@ -5,6 +5,7 @@ This is imported before everything else, so that signals end the imports as well
 
 import signal
 import sys
+import time
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # typing itself takes milliseconds in which a signal may come
@@ -13,6 +14,10 @@ if TYPE_CHECKING:  # typing itself takes milliseconds in which a signal may come
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")  # there is no SIGHUP on Windows
 AGAIN_S = 0.01  # until an interrupt that a finalizer has swallowed is raised again
+# A terminal or a supervisor sends a signal to all processes of a command, and the one
+# that watches passes it on: what comes so soon after another is the same request, and
+# must not end what the first has begun to clean up. A second request comes later.
+SAME_S = 1.0
 
 
 class Interrupted(KeyboardInterrupt):
@@ -30,10 +35,19 @@ def answer_signals() -> None:
 
     Those that the caller ignores stay ignored.
     """
+    last_s = -SAME_S
+
+    def interrupt(number: int, frame: "FrameType | None") -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if now_s - last_s >= SAME_S:
+            last_s = now_s
+            _interrupt(number, frame)
+
     for name in ENDING:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
+            signal.signal(number, interrupt)
     sys.unraisablehook = _swallowed
 
 

@@ -155,6 +155,32 @@ def test_a_signal_ends_both(name: str, to: str, tmp_path: Path) -> None:
     assert err == "seqid completion: interrupted\n"
 
 
+CLEANS_UP = """try:
+        print(os.getpid(), flush=True)
+        time.sleep(60)
+    finally:
+        print("begun", flush=True)
+        time.sleep(0.3)
+        print("ended", flush=True)
+"""
+
+
+def test_a_signal_that_comes_twice_is_one(tmp_path: Path) -> None:
+    slow_machine = "import seqid_cli.commands.signals as s; s.SAME_S = 60.0"
+    process = started(
+        tmp_path, "completion", "bash", stop=CLEANS_UP, before=slow_machine
+    )
+    assert process.stdout is not None
+    worker = int(process.stdout.readline())
+    os.kill(worker, signal.SIGTERM)
+    assert process.stdout.readline() == "begun\n"
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=60)
+    assert out == "ended\n"
+    assert err == "seqid completion: interrupted\n"
+    assert process.returncode == 130
+
+
 def test_no_worker_outlives_its_watcher(tmp_path: Path) -> None:
     process = started(tmp_path, "completion", "bash", stop=SLEEPS)
     assert process.stdout is not None

@@ -25,7 +25,12 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.discover.survey.events import Interval, find_events, stretches_of
+from seqid_cli.discover.survey.events import (
+    Interval,
+    find_events,
+    stretches_of,
+    with_edges,
+)
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.discover.survey.stretches import Stretch
 from seqid_cli.effects.scene import Scene
@@ -498,7 +503,11 @@ def events_of(
         for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
     ]
     events: list[Interval] = []
-    standing_out = find_events(rows, scaled, settings.events)
+    sigma = np.asarray(model.noise.sigma[: rows.n])
+    standing_out = [
+        with_edges(event, rows.scenes[event.scene], left_by_scene[event.scene], sigma)
+        for event in find_events(rows, scaled, settings.events)
+    ]
     for event in standing_out:
         scene = rows.scenes[event.scene]
         inside = event.inside(scene)

@@ -23,14 +23,16 @@ the windows which are looked at closely, and n the number of joints.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.discover.survey.stretches import (
+    EDGE_S,
     Stretch,
+    largest_part,
     long_stretches,
     sharpened,
     usual_squares,
@@ -348,6 +350,44 @@ class Interval:
         independent = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
         of_joints = scaled[self.inside(scene)][:, list(self.joints)]
         return independent * float(np.sum(np.maximum(of_joints**2 - 1.0, 0.0)))
+
+
+def with_edges(
+    event: Interval, scene: Scene, residual: Array, sigma: Array
+) -> Interval:
+    """Return an event from edge to edge, by all samples at which its joints slide.
+
+    Windows tell an event by the samples that count. Of a push at speeds at which
+    friction was not identified these are a few pieces, but it is about as large at
+    every sample.
+
+    Parameters
+    ----------
+    event : Interval
+        The event, by its windows.
+    `scene` : `Scene`
+        Its data set.
+    residual : (N, n) array
+        What is left there [N m; N where prismatic].
+    sigma : (n,) array
+        What noise leaves of each joint [N m; N where prismatic].
+    """
+    joints = list(event.joints)
+    squares = np.where(scene.slides, residual**2, np.nan)[:, joints]
+    inside = event.inside(scene)
+    seen = np.isfinite(squares[inside]).any(axis=0)
+    if not seen.any():
+        return event
+
+    squares = squares[:, seen]
+    size = np.nanmean(squares[inside], axis=0)
+    least = np.maximum(EDGE_SHARE**2 * size, sigma[joints][seen] ** 2)
+    near = np.flatnonzero(event.inside(scene, EDGE_S))
+    part = largest_part(squares[near], least, inside[near])
+    if part is None:
+        return event
+    t = scene.motion.t[near[part]] - scene.motion.t[0]
+    return replace(event, start=float(t[0]), end=float(t[-1]))
 
 
 def find_events(
@@ -733,8 +773,19 @@ def _robust_size(magnitude: Array) -> float:
     if len(magnitude) < FEWEST:
         return float(np.max(magnitude))
     # Of bursts, which a median does not see, as well.
-    median, one_in_ten = np.quantile(magnitude, (0.5, 0.9))
-    return float(max(PER_MEDIAN * median, one_in_ten / MOST))
+    ordered = np.sort(magnitude)
+    median = _quantile(ordered, 0.5)
+    one_in_ten = _quantile(ordered, 0.9)
+    return max(PER_MEDIAN * median, one_in_ten / MOST)
+
+
+def _quantile(ordered: Array, share: float) -> float:
+    """Return a quantile of ordered numbers; they are too few for NumPy's to be fast."""
+    place = share * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    step = float(ordered[above] - ordered[below])
+    return float(ordered[below]) + (place - below) * step
 
 
 def places(

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.discover.settings import EventSettings
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 MOMENT_S = 0.15  # of the moments that are scored
 STANDS_OUT = 3.0  # times the usual RMS
@@ -183,6 +183,33 @@ def sharpened(stretch: Stretch, residual: Array, t: Array, usual: Array) -> Stre
         float(t_in[0]) - _onset_s(size, t_in - t_in[0]),
         float(t_in[-1]) + _onset_s(size[::-1], t_in[-1] - t_in[::-1]),
     )
+
+
+def largest_part(squares: Array, least: Array, inside: Mask) -> slice | None:
+    """Return the stretch of samples that has most of an event.
+
+    Parameters
+    ----------
+    squares : (M, n) array
+        Squares of what is left [N^2 m^2; N^2 where prismatic], NaN where a joint does
+        not count.
+    least : (n,) array
+        Squares of each joint that belong to the event.
+    inside : (M,) mask
+        Samples that are known to.
+
+    Returns
+    -------
+    slice, optional
+        None where no sample is as large.
+    """
+    scores = _scores(squares, least / STANDS_OUT**2)
+    shares = [
+        (np.count_nonzero(inside[start:stop]), start, stop)
+        for start, stop in _maximal(scores)
+    ]
+    most, start, stop = max(shares, default=(0, 0, 0))
+    return slice(start, stop) if most else None
 
 
 def _envelope(squares: Array, t: Array, usual: Array) -> Array:

@@ -12,7 +12,13 @@ from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.settings import EventSettings, EvidenceSettings
-from seqid_cli.discover.survey.events import Interval, Windows, find_events, scores
+from seqid_cli.discover.survey.events import (
+    Interval,
+    Windows,
+    find_events,
+    scores,
+    with_edges,
+)
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
 from tests import Array
@@ -187,6 +193,7 @@ def test_a_push_is_no_event_where_effects_may_have_any_torque(
     model: Model, monkeypatch: pytest.MonkeyPatch, until: float, events: list[Interval]
 ) -> None:
     monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
+    monkeypatch.setattr(investigate, "with_edges", lambda event, *_: event)
     monkeypatch.setattr(investigate, "of_law", lambda *_: False)
     sticks = [
         (s.motion.t > 4.9) & (s.motion.t < until) for s in model.ground.stage.scenes
@@ -237,6 +244,31 @@ def test_a_push_that_moves_the_arm_far_off_is_as_large_on_the_way(
         residual[~far] = 0.0
     is_event = investigate.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
     assert is_event == expected
+
+
+@pytest.mark.parametrize(("start", "end"), [(5.3, 5.38), (5.35, 5.9), (4.8, 5.2)])
+def test_edges_are_where_a_push_begins_and_ends(
+    model: Model, start: float, end: float
+) -> None:
+    """Windows tell of a push where friction is known: a piece of it, or more."""
+    scene = model.ground.stage.scenes[0]
+    scene = replace(scene)
+    scene.__dict__["slides"] = np.ones_like(scene.slides)
+    sigma = np.full(scene.robot.n, 0.1)
+    residual = sigma * np.random.default_rng(0).normal(size=scene.slides.shape)
+    pushed = (scene.motion.t > 5.0) & (scene.motion.t < 5.5)
+    residual[pushed, 1] += 1.0
+    event = replace(PUSH, start=start, end=end)
+    found = with_edges(event, scene, residual, sigma)
+    assert found.start == pytest.approx(5.0, abs=0.02)
+    assert found.end == pytest.approx(5.5, abs=0.02)
+
+
+def test_an_event_that_its_joints_do_not_show_keeps_its_edges(model: Model) -> None:
+    scene = replace(model.ground.stage.scenes[0])
+    scene.__dict__["slides"] = np.zeros_like(scene.slides)
+    residual = np.ones_like(scene.motion.q)
+    assert with_edges(PUSH, scene, residual, np.full(scene.robot.n, 0.1)) == PUSH
 
 
 def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:

@@ -767,6 +767,8 @@ class Selection:
         if not isinstance(term.what, Candidate):
             return small
         effect = term.what.effect
+        if effect.exact:
+            return 0.0
         if isinstance(beside.what, Candidate):
             is_elsewhere = term.name == beside.name and term.joint != beside.joint
             is_alike = (
@@ -780,7 +782,7 @@ class Selection:
                 return self.options.apart
             if is_elsewhere or is_alike:
                 return float(np.sqrt(small))
-        return 0.0 if effect.exact else small
+        return small
 
     def _are_of_position(self, term: Term, beside: Term) -> bool:
         """Return whether one is a function of position, the other a few waves over it.

@@ -208,6 +208,16 @@ def test_a_few_waves_beside_a_spring_may_be_the_error_of_its_law(
     assert found == pytest.approx(share)
 
 
+def test_an_offset_hides_no_drift() -> None:
+    """An offset since the second log is exact: what creeps beside it is no error."""
+    scenes = arm_scenes(logs=2, seconds=8.0)
+    offset = candidate("torque_bias", 1, from_log=1.0)
+    drift = candidate("drift", 1, duration=8.0)
+    model = Model(ground_of(scenes), FREE, [offset, drift])
+    chosen = Selection(model, list(CATALOGUE.values()))
+    assert chosen._error_of_law(*model.terms) == 0.0
+
+
 @pytest.mark.slow
 def test_a_fine_ripple_beside_a_spring_is_told() -> None:
     def both(scene: Scene) -> Array:

@@ -84,6 +84,10 @@ class Rows:
         log[first_blocks[1:]] = 1
         return np.cumsum(log)
 
+    def has_rows_of(self, others: Rows) -> bool:
+        """Return whether the same samples count here and there."""
+        return all(map(np.array_equal, self.used, others.used))
+
     def count(self, joint: int) -> int:
         """Return the number of rows of a joint."""
         return sum(int(used[:, joint].sum()) for used in self.used)

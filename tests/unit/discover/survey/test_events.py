@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.discover import investigate
-from seqid_cli.discover.investigate import of_law
+from seqid_cli.discover import pushes
+from seqid_cli.discover.pushes import of_law
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.settings import EventSettings, EvidenceSettings
 from seqid_cli.discover.survey.events import (
@@ -192,14 +192,14 @@ def test_a_little_beside_all_of_the_models_torque_is_the_error_of_a_law(
 def test_a_push_is_no_event_where_effects_may_have_any_torque(
     model: Model, monkeypatch: pytest.MonkeyPatch, until: float, events: list[Interval]
 ) -> None:
-    monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
-    monkeypatch.setattr(investigate, "with_edges", lambda event, *_: event)
-    monkeypatch.setattr(investigate, "of_law", lambda *_: False)
+    monkeypatch.setattr(pushes, "find_events", lambda *_: [PUSH])
+    monkeypatch.setattr(pushes, "with_edges", lambda event, *_: event)
+    monkeypatch.setattr(pushes, "of_law", lambda *_: False)
     sticks = [
         (s.motion.t > 4.9) & (s.motion.t < until) for s in model.ground.stage.scenes
     ]
     guess = [np.outer(one, [False, True]) for one in sticks]
-    assert investigate.events_of(model, guess) == events
+    assert pushes.events_of(model, guess) == events
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_terms_that_add_more_than_the_file_leaves_make_an_event(
 ) -> None:
     left = [whole.residual for whole in model.ground.base.scene_bases]
     monkeypatch.setattr(model, "left", lambda: [times * one for one in left])
-    assert investigate.not_of_terms([PUSH], model) == ([] if expected else [PUSH])
+    assert pushes.not_of_terms([PUSH], model) == ([] if expected else [PUSH])
 
 
 @pytest.mark.parametrize(("shift", "expected"), [(0.0, True), (2.0, False)])
@@ -223,7 +223,7 @@ def test_a_stop_where_a_joint_is_nowhere_else_is_no_event(
     q[PUSH.inside(scenes[0]), 1] += shift * np.ptp(q[:, 1])
     scenes[0] = replace(scenes[0], motion=replace(motion, q=q))
     residual = np.ones_like(q)
-    is_event = investigate.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
+    is_event = pushes.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
     assert is_event == expected
 
 
@@ -242,7 +242,7 @@ def test_a_push_that_moves_the_arm_far_off_is_as_large_on_the_way(
     residual = np.ones_like(q)
     if begins:
         residual[~far] = 0.0
-    is_event = investigate.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
+    is_event = pushes.is_in_reach_of_others(PUSH, [PUSH], scenes, residual)
     assert is_event == expected
 
 

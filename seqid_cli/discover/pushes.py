@@ -57,7 +57,7 @@ def events_of(
     events: list[Interval] = []
     sigma = np.asarray(model.noise.sigma[: rows.n])
     standing_out = [
-        with_edges(event, rows.scenes[event.scene], left_by_scene[event.scene], sigma)
+        with_edges(event, rows, left_by_scene[event.scene], sigma)
         for event in find_events(rows, scaled, settings.events)
     ]
     for event in standing_out:

@@ -352,33 +352,38 @@ class Interval:
         return independent * float(np.sum(np.maximum(of_joints**2 - 1.0, 0.0)))
 
 
-def with_edges(
-    event: Interval, scene: Scene, residual: Array, sigma: Array
-) -> Interval:
-    """Return an event from edge to edge, by all samples at which its joints slide.
+def with_edges(event: Interval, rows: Rows, residual: Array, sigma: Array) -> Interval:
+    """Return an event from edge to edge, also where few of its samples count.
 
     Windows tell an event by the samples that count. Of a push at speeds at which
     friction was not identified these are a few pieces, but it is about as large at
-    every sample.
+    every sample at which its joints slide.
 
     Parameters
     ----------
     event : Interval
         The event, by its windows.
-    `scene` : `Scene`
-        Its data set.
+    rows : Rows
+        The samples that count.
     residual : (N, n) array
-        What is left there [N m; N where prismatic].
+        What is left in the event's data set [N m; N where prismatic].
     sigma : (n,) array
         What noise leaves of each joint [N m; N where prismatic].
     """
+    scene = rows.scenes[event.scene]
     joints = list(event.joints)
-    squares = np.where(scene.slides, residual**2, np.nan)[:, joints]
+    slides = scene.slides[:, joints]
+    samples = rows.samples[event.scene]
+    around = event.inside(scene, PARTS_S)[samples]
+    n_counting = np.count_nonzero(rows.used[event.scene][around][:, joints])
+    if n_counting >= USED * np.count_nonzero(slides[samples][around]):
+        return event
+
+    squares = np.where(slides, residual[:, joints] ** 2, np.nan)
     inside = event.inside(scene)
     seen = np.isfinite(squares[inside]).any(axis=0)
     if not seen.any():
         return event
-
     squares = squares[:, seen]
     size = np.nanmean(squares[inside], axis=0)
     least = np.maximum(EDGE_SHARE**2 * size, sigma[joints][seen] ** 2)

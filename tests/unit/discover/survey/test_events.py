@@ -246,29 +246,45 @@ def test_a_push_that_moves_the_arm_far_off_is_as_large_on_the_way(
     assert is_event == expected
 
 
+def rows_at_few_speeds(model: Model, share: float) -> Rows:
+    """Rows of joints that slide all the time, of which a share counts."""
+    rows = model.ground.stage.rows
+    scene = replace(rows.scenes[0])
+    scene.__dict__["slides"] = np.ones_like(scene.slides)
+    counts = np.random.default_rng(1).random(rows.used[0].shape) < share
+    return replace(
+        rows, scenes=(scene, *rows.scenes[1:]), used=(counts, *rows.used[1:])
+    )
+
+
 @pytest.mark.parametrize(("start", "end"), [(5.3, 5.38), (5.35, 5.9), (4.8, 5.2)])
 def test_edges_are_where_a_push_begins_and_ends(
     model: Model, start: float, end: float
 ) -> None:
     """Windows tell of a push where friction is known: a piece of it, or more."""
-    scene = model.ground.stage.scenes[0]
-    scene = replace(scene)
-    scene.__dict__["slides"] = np.ones_like(scene.slides)
-    sigma = np.full(scene.robot.n, 0.1)
+    rows = rows_at_few_speeds(model, 0.4)
+    scene = rows.scenes[0]
+    sigma = np.full(rows.n, 0.1)
     residual = sigma * np.random.default_rng(0).normal(size=scene.slides.shape)
     pushed = (scene.motion.t > 5.0) & (scene.motion.t < 5.5)
     residual[pushed, 1] += 1.0
     event = replace(PUSH, start=start, end=end)
-    found = with_edges(event, scene, residual, sigma)
+    found = with_edges(event, rows, residual, sigma)
     assert found.start == pytest.approx(5.0, abs=0.02)
     assert found.end == pytest.approx(5.5, abs=0.02)
 
 
+def test_windows_tell_the_edges_where_most_samples_count(model: Model) -> None:
+    rows = rows_at_few_speeds(model, 0.9)
+    residual = np.ones_like(rows.scenes[0].motion.q)
+    assert with_edges(PUSH, rows, residual, np.full(rows.n, 0.1)) == PUSH
+
+
 def test_an_event_that_its_joints_do_not_show_keeps_its_edges(model: Model) -> None:
-    scene = replace(model.ground.stage.scenes[0])
-    scene.__dict__["slides"] = np.zeros_like(scene.slides)
-    residual = np.ones_like(scene.motion.q)
-    assert with_edges(PUSH, scene, residual, np.full(scene.robot.n, 0.1)) == PUSH
+    rows = rows_at_few_speeds(model, 0.0)
+    rows.scenes[0].__dict__["slides"] = np.zeros_like(rows.scenes[0].slides)
+    residual = np.ones_like(rows.scenes[0].motion.q)
+    assert with_edges(PUSH, rows, residual, np.full(rows.n, 0.1)) == PUSH
 
 
 def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.options import LogOptions, OnProgress
 from seqid_cli.logs.given import (
     Log,
@@ -279,6 +279,11 @@ def _logs(
     requested: Sequence[Log], *, go_on: bool, stored: bool
 ) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
     """Return the logs, and errors of missing ones where `go_on` allows these."""
+    if not requested:
+        raise UsageError(
+            "no log is given",
+            hint="Give files, folders, globs, tables or recordings.",
+        )
     present_logs: list[Log] = []
     missing: list[InputError] = []
     for log in requested:

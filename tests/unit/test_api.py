@@ -196,6 +196,14 @@ def test_problems_are_exceptions_and_warnings_pythons(
         identify.gravity(SAMPLES / "gravity", other, friction)
 
 
+@pytest.mark.parametrize("logs", [[], ()])
+def test_no_log_is_said_to_be_none(logs: list[Path]) -> None:
+    with pytest.raises(UsageError, match="no log is given"):
+        identify.friction(logs, ROBOT)
+    with pytest.raises(UsageError, match="no log is given"):
+        discover.diagnose(logs, ROBOT, GOLDEN)
+
+
 def test_the_package_is_light_until_it_is_used() -> None:
     text = (
         "import sys, seqid_cli as s; s.identify.friction; s.discover.refine;"

@@ -11,7 +11,12 @@ import numpy as np
 
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.discover.survey.events import Interval, find_events, with_edges
+from seqid_cli.discover.survey.events import (
+    Interval,
+    find_events,
+    joined_where_they_overlap,
+    with_edges,
+)
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import shrink
@@ -56,10 +61,12 @@ def events_of(
     ]
     events: list[Interval] = []
     sigma = np.asarray(model.noise.sigma[: rows.n])
-    standing_out = [
-        with_edges(event, rows, left_by_scene[event.scene], sigma)
-        for event in find_events(rows, scaled, settings.events)
-    ]
+    standing_out = joined_where_they_overlap(
+        [
+            with_edges(event, rows, left_by_scene[event.scene], sigma)
+            for event in find_events(rows, scaled, settings.events)
+        ]
+    )
     for event in standing_out:
         scene = rows.scenes[event.scene]
         inside = event.inside(scene)

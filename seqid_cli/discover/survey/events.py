@@ -395,6 +395,30 @@ def with_edges(event: Interval, rows: Rows, residual: Array, sigma: Array) -> In
     return replace(event, start=float(t[0]), end=float(t[-1]))
 
 
+def joined_where_they_overlap(events: Sequence[Interval]) -> list[Interval]:
+    """Return events of which those that overlap are one."""
+    joined: list[Interval] = []
+    for event in sorted(events, key=lambda each: (each.scene, each.start)):
+        if (
+            not joined
+            or joined[-1].scene != event.scene
+            or event.start > joined[-1].end
+        ):
+            joined.append(event)
+            continue
+        before = joined.pop()
+        joined.append(
+            Interval(
+                scene=event.scene,
+                start=before.start,
+                end=max(before.end, event.end),
+                joints=tuple(sorted({*before.joints, *event.joints})),
+                score=max(before.score, event.score),
+            )
+        )
+    return joined
+
+
 def find_events(
     rows: Rows, left_out: Sequence[Array], settings: EventSettings = EventSettings()
 ) -> list[Interval]:

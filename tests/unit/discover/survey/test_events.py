@@ -16,6 +16,7 @@ from seqid_cli.discover.survey.events import (
     Interval,
     Windows,
     find_events,
+    joined_where_they_overlap,
     scores,
     with_edges,
 )
@@ -285,6 +286,15 @@ def test_an_event_that_its_joints_do_not_show_keeps_its_edges(model: Model) -> N
     rows.scenes[0].__dict__["slides"] = np.zeros_like(rows.scenes[0].slides)
     residual = np.ones_like(rows.scenes[0].motion.q)
     assert with_edges(PUSH, rows, residual, np.full(rows.n, 0.1)) == PUSH
+
+
+def test_pieces_that_reach_into_each_other_are_one_push() -> None:
+    piece = replace(PUSH, start=4.0, end=6.0, joints=(0,), score=20.0)
+    later = replace(PUSH, start=7.0, end=8.0)
+    elsewhere = replace(PUSH, scene=1)
+    whole = replace(PUSH, start=4.0, end=6.0, joints=(0, 1), score=20.0)
+    joined = joined_where_they_overlap([later, PUSH, elsewhere, piece])
+    assert joined == [whole, later, elsewhere]
 
 
 def test_a_push_is_no_measure_of_the_few_windows_that_are_alike() -> None:

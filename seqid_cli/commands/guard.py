@@ -110,14 +110,14 @@ def _die_with(watcher: int, alive_end: int) -> None:
 def _wait(child: int, taken: "Collection[signal.Signals]") -> int:
     """Pass signals on until the child has ended; returns its status."""
     while True:
-        told = signal.sigwaitinfo(taken)
-        if told.si_signo == signal.SIGCHLD:
+        received = signal.sigwaitinfo(taken)
+        if received.si_signo == signal.SIGCHLD:
             ended, status = os.waitpid(child, os.WNOHANG)
             if ended:
                 return status
         # A terminal sends its signals to both.
-        elif told.si_pid:
-            os.kill(child, told.si_signo)
+        elif received.si_pid:
+            os.kill(child, received.si_signo)
 
 
 def _said(message: str, code: int, *, path: str, hint: str = "") -> int:

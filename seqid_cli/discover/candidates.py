@@ -441,7 +441,16 @@ class CandidateColumns:
     def beside_file(
         self, columns: Channels, absorbed: Mapping[int, Array]
     ) -> dict[int, Array]:
-        """Return columns of a term less what the file has absorbed of it."""
+        """Return columns of a term less what the file has absorbed of it.
+
+        Parameters
+        ----------
+        columns : mapping of channel to (M_c, k) array
+            Columns of the term.
+        absorbed : mapping of int to (., k) array
+            Coefficients of the rigid body and friction, as `FileTrials.absorbed` has
+            them.
+        """
         assert self.file is not None
         beside_file = {
             joint: self.file.beside(X, joint, absorbed)

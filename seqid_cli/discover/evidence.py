@@ -15,7 +15,6 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.link_rows import KIND as LINKS
-from seqid_cli.discover.select.model import HELD, Model
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import ScoredTerm, TermResult, again
 from seqid_cli.discover.select.search import Search
@@ -390,10 +389,7 @@ def taken_up_at(
     loosest = max(model.hold.rigid, model.hold.of(joint))
     if loosest <= 1.0 or not ground.stage.rows.count(joint):
         return []
-    held = Model(ground, HELD)
-    held.terms = list(model.terms)
-    held.settle()
-
+    held = investigation.held_model
     catalogue = tuple(catalogue_of(robot).values())
     fitted = Search(held, catalogue).effects_at(joint, held)
     keys = {term.key for term in model.terms}

@@ -140,6 +140,11 @@ class Investigation:
         """The model with all that was selected."""
         return self.selection.model
 
+    @cached_property
+    def held_model(self) -> Model:
+        """The model with a base that is held as the file says."""
+        return self.model.held_otherwise(HELD, self.model.terms)
+
     def forget_search(self) -> None:
         """Let go of what the search has worked out: what follows needs the room."""
         self.ground.forget_search()

@@ -18,6 +18,8 @@ Hollerbach, Khalil, Gautier, "Model identification", in Springer Handbook of Rob
 
 from dataclasses import replace
 
+import numpy as np
+
 from seqid_cli.effects.base_tilt import first_joint_upright
 from seqid_cli.effects.declared import Shift
 from seqid_cli.effects.effect import (
@@ -40,6 +42,7 @@ SMALL_RAD = 1e-3
 # Ratio of d to d_0 beyond which the column does not belong to the coefficient. Sines
 # hold to this at half a radian.
 CONSISTENT = 1.5
+FIVE_ANGLES = 2.0 * np.pi / 5.0 * np.arange(5)
 
 
 class JointZero(MeasurementEffect):
@@ -94,8 +97,7 @@ class JointZero(MeasurementEffect):
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Compute the change of the rigid torque of all joints per rad."""
         shift = self.deviation(scene.robot, joint, settings)
-        change = _at(scene, joint, shift.high) - _at(scene, joint, shift.low)
-        torque = change / (shift.high - shift.low)
+        torque = _change(scene, joint, shift) / (shift.high - shift.low)
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
 
     def restored(
@@ -110,6 +112,29 @@ class JointZero(MeasurementEffect):
         q = recording.q.copy()
         q[:, joint] += float(c[0])
         return replace(recording, q=q)
+
+
+def _change(scene: Scene, joint: int, shift: Shift) -> Array:
+    """Return the change (N, n) N m of the rigid torque between two angles of a joint.
+
+    A joint's rotation stands twice in the kinetic energy, so that the torque is a sum
+    of waves of up to two per turn. Five angles tell these, for all others.
+    """
+    if scene.robot.joints[joint].prismatic:
+        return _at(scene, joint, shift.high) - _at(scene, joint, shift.low)
+
+    key = ("rigid torque at five angles", joint)
+    if key not in scene.memo:
+        at_angles = [_at(scene, joint, float(angle)) for angle in FIVE_ANGLES]
+        scene.memo[key] = (np.stack(at_angles).astype(np.float32),)
+    weights = _weights_at(shift.high) - _weights_at(shift.low)
+    return np.asarray(np.tensordot(weights, scene.memo[key][0], axes=1))
+
+
+def _weights_at(angle: float) -> Array:
+    """Return by how much a torque at each of the five angles counts at another one."""
+    apart = angle - FIVE_ANGLES
+    return (1.0 + 2.0 * np.cos(apart) + 2.0 * np.cos(2.0 * apart)) / len(FIVE_ANGLES)
 
 
 def _at(scene: Scene, joint: int, angle: float) -> Array:

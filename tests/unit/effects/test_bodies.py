@@ -90,6 +90,21 @@ def test_the_lean_comes_back() -> None:
     assert rms < 1e-5 * rms_left([leaning])
 
 
+@pytest.mark.parametrize("around", [0.0, 0.5, -1.5, 2.9])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_five_angles_tell_a_zero_at_any(joint: int, around: float) -> None:
+    scene = scene_of(wander(5.0))
+    motion = scene.motion
+    low, high = (-0.5e-3, 0.5e-3) if around == 0.0 else (0.0, around)
+    turn = np.eye(2)[joint]
+    ahead = scene.model.rigid(motion.q + high * turn, motion.dq, motion.ddq)
+    behind = scene.model.rigid(motion.q + low * turn, motion.dq, motion.ddq)
+    slope = (ahead - behind) / (high - low)
+    columns = CATALOGUE["joint_zero"].columns(scene, joint, {"around": around})
+    found = np.hstack([columns[j] for j in range(2)])
+    np.testing.assert_allclose(found, slope, atol=1e-5 * np.max(np.abs(slope)))
+
+
 @pytest.mark.parametrize(("joint", "angle"), [(0, 0.03), (1, -0.04), (1, 0.8)])
 def test_the_error_of_a_zero_comes_back(joint: int, angle: float) -> None:
     """The log has positions that are too small by it, and torque of the true ones."""

@@ -134,7 +134,8 @@ def _change(scene: Scene, joint: int, shift: Shift) -> Array:
 def _weights_at(angle: float) -> Array:
     """Return by how much a torque at each of the five angles counts at another one."""
     apart = angle - FIVE_ANGLES
-    return (1.0 + 2.0 * np.cos(apart) + 2.0 * np.cos(2.0 * apart)) / len(FIVE_ANGLES)
+    waves = 1.0 + 2.0 * np.cos(apart) + 2.0 * np.cos(2.0 * apart)
+    return np.asarray(waves / len(FIVE_ANGLES))
 
 
 def _at(scene: Scene, joint: int, angle: float) -> Array:

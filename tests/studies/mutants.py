@@ -11,6 +11,7 @@ Run by the environment that holds Cosmic Ray, which has nothing else of the proj
 """
 
 import argparse
+import ast
 import importlib
 import os
 import random
@@ -133,7 +134,7 @@ def drawn(path: str, count: int, seed: int) -> list[Mutant]:
     found: list[Mutant] = []
     for operator, occurrence in every:
         text = _mutating().mutate_code(source, operator, occurrence)
-        if text is None or _is_of_text(source, text):
+        if text is None or _is_of_text(source, text) or not _is_of_code(source, text):
             continue
         found.append(Mutant(text, _change(source, text)))
         if len(found) == count:
@@ -166,6 +167,32 @@ def _is_of_text(source: str, text: str) -> bool:
     (old, _), *_ = _changed_lines(source, text)
     stripped = old.strip()
     return stripped.startswith(("from ", "import ", "def ", "@"))
+
+
+def _is_of_code(source: str, text: str) -> bool:
+    """Return whether a changed text can be run, and differs beyond its annotations.
+
+    A text that is no Python fails every test, as does an annotation that cannot be
+    evaluated: both would make the score too good.
+    """
+    try:
+        changed = ast.parse(text)
+    except SyntaxError:
+        return False
+    sound = ast.parse(source)
+    return ast.dump(_bare(changed)) != ast.dump(_bare(sound))
+
+
+def _bare(tree: ast.Module) -> ast.Module:
+    """Return a tree without its annotations."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        if isinstance(node, ast.arg):
+            node.annotation = None
+        if isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(None)
+    return tree
 
 
 def _change(source: str, text: str) -> str:

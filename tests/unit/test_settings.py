@@ -75,6 +75,7 @@ def test_settings_are_few() -> None:
     [
         ("judging.max_factor=3", "Did you mean judging.max_gravity_factor"),
         ("max_gravity_factor=3", "Did you mean judging.max_gravity_factor"),
+        ("some_group_of_numbers_with_a_long_name.clear_sigma=3", "judging.clear_sigma"),
         ("nothing.like=3", "--show-settings lists all of them"),
         ("judging=3", "Did you mean judging."),
         ("judging.max_gravity_factor", "Give a name and a number"),

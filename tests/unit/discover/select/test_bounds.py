@@ -54,6 +54,37 @@ def test_beyond_the_upper_bound_it_is_at_that_bound() -> None:
     assert moved([high + 0.015, 0.02], 0.01) == [high, 0.02]
 
 
+def test_all_beyond_their_upper_bounds_are_at_them() -> None:
+    high = [spec.high for spec in GEAR.effect.coefficients(GEAR.settings)]
+    assert moved([bound + 0.015 for bound in high], 0.01) == high
+
+
+def test_all_below_their_bounds_are_at_them() -> None:
+    assert moved([-0.005, -0.005], 0.01) == [0.0, 0.0]
+
+
+def test_a_variance_that_rounding_makes_negative_is_none() -> None:
+    covariance = np.diag([1e-6, -1e-20])
+    values = within_bounds(
+        GEAR, np.array([0.1, -0.006]), covariance, ONE_SIZE, negligible_share=0.04
+    )
+    assert values.tolist() == [0.1, 0.0]
+
+
+def test_the_one_that_is_furthest_beyond_in_its_errors_goes_first() -> None:
+    """Known well, it takes the other one back within its bounds."""
+    std = np.array([0.001, 0.01])
+    correlation = np.array([[1.0, 0.9], [0.9, 1.0]])
+    values = within_bounds(
+        GEAR,
+        np.array([-0.0015, -0.005]),
+        correlation * np.outer(std, std),
+        ONE_SIZE,
+        negligible_share=0.0,
+    )
+    assert values == pytest.approx([0.0, 0.0085])
+
+
 def test_without_any_variance_it_is_at_the_bound_by_the_law_alone() -> None:
     assert moved([0.1, -0.006], 0.0, share=0.04) == [0.1, 0.0]
 
@@ -69,6 +100,20 @@ def test_what_a_law_does_not_tell_is_an_error_as_well() -> None:
 
 def test_the_error_of_a_law_goes_by_the_largest_column_however_small() -> None:
     assert moved([0.1, -0.03], 1e-6, share=0.04) == [0.1, -0.03]
+
+
+def test_the_error_of_a_law_is_a_torque_whatever_the_unit_of_a_column() -> None:
+    """A column of ten times the torque is beyond by ten times as much."""
+    covariance = 1e-12 * np.eye(2)
+    sizes = np.diag([1.0, 100.0])
+    nearer, further = (
+        within_bounds(
+            GEAR, np.array([0.1, c]), covariance, sizes, negligible_share=0.04
+        )[1]
+        for c in (-0.0006, -0.006)
+    )
+    assert nearer == 0.0
+    assert further == pytest.approx(-0.006)
 
 
 def test_the_others_are_what_they_are_at_the_bound() -> None:

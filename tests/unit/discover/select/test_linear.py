@@ -120,6 +120,22 @@ def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) 
     np.testing.assert_allclose(loosened, as_expected, atol=1e-6)
 
 
+def test_terms_of_two_channels_meet_in_what_the_file_has_of_both() -> None:
+    in_file = {0: IN_FILE[0]}
+    terms = [
+        ColumnGroup(
+            columns={channel: columns(3, 2)[channel]},
+            precision=TERM.precision,
+            absorbed_by_file=in_file,
+        )
+        for channel in (0, 1)
+    ]
+    taken = linear([*BASE, *terms])
+    expected = linear([*BASE, *(_less_in_file(BASE, term) for term in terms)])
+    assert taken.evidence == pytest.approx(expected.evidence, abs=1e-6)
+    np.testing.assert_allclose(taken.held, expected.theta, atol=1e-6)
+
+
 def test_evidence_is_the_ratio_of_two_densities() -> None:
     expected = log_density([*BASE, TERM]) - log_density(BASE)
     without, with_it = linear(BASE), linear([*BASE, TERM])
@@ -129,6 +145,29 @@ def test_evidence_is_the_ratio_of_two_densities() -> None:
     at = with_it.where[-1]
     np.testing.assert_allclose(gained.coefficients, with_it.theta[at], rtol=1e-6)
     np.testing.assert_allclose(gained.covariance, with_it.covariance[at, at], rtol=1e-6)
+
+
+def test_the_jackknife_is_the_spread_of_fits_without_a_block() -> None:
+    parts = [*BASE, TERM]
+    X = np.vstack(
+        [
+            np.hstack([part.columns.get(c, np.zeros((m, part.size))) for part in parts])
+            for c, m in enumerate(LENGTHS)
+        ]
+    )
+    block = np.concatenate(ROWS.block)
+    y = np.concatenate(ROWS.y)
+    weight = np.concatenate(WEIGHT)
+    model = linear(parts)
+    without = []
+    for left_out in range(BLOCKS):
+        w = weight * (block != left_out)
+        A = model.prior + X.T @ (w[:, None] * X)
+        without.append(np.linalg.solve(A, X.T @ (w * y)))
+    expected = (BLOCKS - 1) * np.cov(np.transpose(without), bias=True)
+    np.testing.assert_allclose(
+        model.jackknife(slice(0, model.size)), expected, rtol=1e-6, atol=1e-12
+    )
 
 
 def test_gain_of_a_block_is_that_of_its_density_given_all_others() -> None:
@@ -174,6 +213,19 @@ def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken() -> None:
     np.testing.assert_allclose(again.covariance, gained.covariance, rtol=1e-6)
 
 
+def test_another_size_in_every_block_is_worth_what_its_columns_are() -> None:
+    """By densities written out: a column of each block, of 0.3 beforehand."""
+    parts = [*BASE, TERM]
+    model = linear(parts)
+    sizes = {}
+    for channel, block in enumerate(ROWS.block):
+        torque = TERM.columns[channel] @ model.theta[model.where[-1]]
+        sizes[channel] = torque[:, None] * (block[:, None] == np.arange(BLOCKS))
+    varied = ColumnGroup(columns=sizes, precision=np.eye(BLOCKS) / 0.3**2)
+    expected = log_density([*parts, varied]) - log_density(parts)
+    assert model.varied(TERM) == pytest.approx(expected, abs=1e-6)
+
+
 LOG_OF_BLOCK = np.array([0, 0, 1, 1])
 OWN_SIZE = 2
 
@@ -212,6 +264,7 @@ def test_what_each_log_has_for_itself_costs_no_parameters() -> None:
         lambda x: np.concatenate(x.residual()),
         lambda x: np.concatenate(x.left_out),
         lambda x: np.concatenate(x.without(TERM).left_out),
+        lambda x: x.evidence,
         lambda x: x.evidence - x.without(TERM).evidence,
         lambda x: x.varied(TERM),
         lambda x: x.fits([other, TERM])[0].log_bayes_factor,

@@ -104,6 +104,32 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     assert not np.any([nothing.determined, nothing.theta])
 
 
+def test_moves_along_open_directions_change_no_torque() -> None:
+    rng = np.random.default_rng(9)
+    H = rng.standard_normal((600, P)) * SCALES
+    H[:, 4] = 3.0 * H[:, 1]
+    H[:, 2] = 0.0
+    left_open = solve([accumulated(*of(H, THETA, 0.01, rng))]).left_open
+    assert np.linalg.matrix_rank(left_open) == 2
+    np.testing.assert_allclose(H @ left_open, 0.0, atol=1e-12)
+
+
+def test_a_column_of_rounding_alone_determines_nothing() -> None:
+    rng = np.random.default_rng(15)
+    H = rng.standard_normal((600, P))
+    H[:, 2] *= 1e-13
+    got = solve([accumulated(*of(H, THETA, 0.01, rng))])
+    np.testing.assert_array_equal(got.determined, np.arange(P) != 2)
+    assert got.theta[2] == 0.0
+
+
+@pytest.mark.parametrize("size", [1e-20, 1.0, 1e20])
+def test_a_covariance_in_any_unit_makes_a_prior(size: float) -> None:
+    covariance = size * np.array([[2.0, 0.6], [0.6, 0.5]])
+    L = rows_of(covariance)
+    np.testing.assert_allclose(L.T @ L, np.linalg.inv(covariance), rtol=1e-9)
+
+
 @pytest.mark.parametrize("quiet", [1e-3, 1e-7, 1e-11])
 def test_a_quiet_joint_hides_no_parameters_of_a_loud_one(quiet: float) -> None:
     rng = np.random.default_rng(11)
@@ -115,6 +141,28 @@ def test_a_quiet_joint_hides_no_parameters_of_a_loud_one(quiet: float) -> None:
     np.testing.assert_allclose(got.theta[:4], THETA[:4], atol=0.1)
     np.testing.assert_allclose(got.theta[4:], THETA[4:], atol=10.0 * quiet)
     assert got.sigma[0] == pytest.approx(0.3, rel=0.15)
+
+
+def test_noise_that_comes_four_times_counts_as_four_times_the_noise() -> None:
+    """White noise has a design of one; with its motion repeated, of four."""
+    rng = np.random.default_rng(16)
+    H, y = of(rng.standard_normal((2400, 3)), THETA[:3], 0.5, rng)
+    once = solve([accumulated(H, y)]).designs
+    often = accumulated(np.repeat(H, 4, axis=0), np.repeat(y, 4), rows=160)
+    np.testing.assert_allclose(once, 1.0, rtol=0.3)
+    np.testing.assert_allclose(solve([often]).designs, 4.0 * once, rtol=1e-2)
+
+
+def test_a_parameter_that_is_held_leaves_the_others_to_be_solved_for() -> None:
+    rng = np.random.default_rng(17)
+    H, y = of(rng.standard_normal((480, P)), THETA, 0.1, rng)
+    held = accumulated(H, y).with_fixed(2, 0.7)
+    others = np.delete(H, 2, axis=1)
+    left = y - 0.7 * H[:, 2]
+    got = solve([held])
+    expected = solve([accumulated(others, left)])
+    np.testing.assert_allclose(got.theta, np.linalg.lstsq(others, left)[0], rtol=1e-9)
+    np.testing.assert_allclose(got.covariance, expected.covariance, rtol=1e-7)
 
 
 def test_a_prior_alone_keeps_its_covariance() -> None:

@@ -110,6 +110,24 @@ def test_columns_count_alike_whatever_their_units() -> None:
     assert len(with_log(first, differs)[0].blocks) == 2 * BLOCKS
 
 
+def test_a_motion_of_the_same_speed_that_is_coordinated_otherwise_is_another() -> None:
+    """Columns have the same squares; a fifth of one's motion is the other's."""
+    H = motion(0)
+    other = H.copy()
+    other[:, 0] = np.cos(0.4) * H[:, 0] + np.sin(0.4) * H[:, 1]
+    other[:, 0] *= np.linalg.norm(H[:, 0]) / np.linalg.norm(other[:, 0])
+    joints = with_log(*(log(x, missing=0.0, noise=0.1, seed=0) for x in (H, other)))
+    assert len(joints[0].blocks) == 2 * BLOCKS
+
+
+def test_an_arm_of_one_joint_repeats_its_motion_as_well() -> None:
+    H = motion(0)
+    first, again = (log(H, missing=0.0, noise=0.1, seed=k)[:1] for k in range(2))
+    (joint,) = with_log(first, again)
+    assert len(joint.blocks) == BLOCKS
+    assert joint.samples == 2 * BLOCKS * ROWS
+
+
 def test_blocks_of_other_lengths_are_not_compared() -> None:
     logs = [log(motion(0), missing=0.0, noise=0.1, seed=k) for k in range(2)]
     for joint in logs[0]:

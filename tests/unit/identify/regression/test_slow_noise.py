@@ -1,9 +1,18 @@
 """Noise of slow trials: rows are white again, whatever its strengths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
-from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
+from seqid_cli.identify.regression.slow_noise import (
+    Rows,
+    _restricted,
+    _root,
+    _shapes,
+    whitener_of,
+)
 from seqid_cli.typing import Array
 
 TRIALS, PER_TRIAL = 24, 8
@@ -63,6 +72,72 @@ def test_the_scale_of_the_noise_is_found() -> None:
     small, large = (white_variances(x * noise, np.ones(COUNT)) for x in (1e-3, 50.0))
     np.testing.assert_allclose(small, large, rtol=0.1)
     assert small[0] == pytest.approx(1.0, rel=0.25)
+
+
+def test_a_torque_that_the_columns_explain_is_no_noise() -> None:
+    rng = np.random.default_rng(0)
+    weight = np.where(np.arange(COUNT) % 2 == 0, 1.0, 16.0)
+    noise = rng.normal(0.0, 1.0, COUNT) / np.sqrt(weight)
+    at = rows(noise, weight)
+    loaded = replace(at, y=noise + at.H @ (3e5, -2e5))
+    white = whitener_of(loaded)(noise[:, None])[:, 0]
+    assert np.var(white) == pytest.approx(1.0, rel=0.25)
+
+
+def test_slow_noise_has_the_power_of_its_frequencies_alone() -> None:
+    """F is the integral of cos(2 pi f tau) / f over the frequencies that both rows
+    pass.
+    """
+    t = np.array([0.0, 0.3, 2.0])
+    seconds = np.array([0.5, 0.7, 1.1])
+    log = Rows(
+        H=np.ones((3, 1)),
+        y=np.zeros(3),
+        t=t,
+        weight=np.ones(3),
+        seconds=seconds,
+        trial=np.arange(3),
+        log=np.zeros(3, dtype=np.intp),
+    )
+    _, _, slow = _shapes(log, np.arange(3))
+    lowest = 1.0 / (4.0 * 2.0)  # a quarter of one over the log's length
+    for first, second in np.ndindex(3, 3):
+        highest = 1.0 / (2.0 * max(seconds[first], seconds[second]))
+        lag = t[first] - t[second]
+        expected, _ = quad(
+            lambda f, lag=lag: np.cos(2 * np.pi * f * lag) / f, lowest, highest
+        )
+        assert slow[first, second] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_covariance_is_the_sum_of_its_three_parts() -> None:
+    shape = _shapes(rows(np.zeros(COUNT), np.full(COUNT, 4.0)), np.arange(COUNT))
+    white, common, slow = shape
+    root = _root(shape, np.array([5.0, 0.2, 0.01]))
+    expected = 5.0 * np.diag(white) + 0.2 * common + 0.01 * slow
+    np.testing.assert_allclose(root @ root.T, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_the_likelihood_is_restricted_to_what_the_columns_leave() -> None:
+    """By the densities written out; a column that is empty takes nothing away."""
+    rng = np.random.default_rng(2)
+    every = np.arange(COUNT)
+    full = rows(rng.normal(0.0, 1.0, COUNT), np.ones(COUNT))
+    H, y = full.H, full.y
+    empty = replace(full, H=np.column_stack([H, np.zeros(COUNT)]))
+    found, expected = [], []
+    for strengths in ((1.0, 0.5, 0.1), (0.3, 2.0, 0.0)):
+        root = _root(_shapes(full, every), np.array(strengths))
+        V = root @ root.T
+        information = H.T @ np.linalg.solve(V, H)
+        left = y - H @ np.linalg.solve(information, H.T @ np.linalg.solve(V, y))
+        log_determinants = [np.linalg.slogdet(A)[1] for A in (V, information)]
+        expected.append(sum(log_determinants) + left @ np.linalg.solve(V, left))
+        found.append([_restricted(each, [every], [root]) for each in (full, empty)])
+    # A constant is left out.
+    np.testing.assert_allclose(
+        np.diff(found, axis=0)[0], np.diff(expected)[0], rtol=1e-6
+    )
 
 
 def test_slow_noise_weighs_on_the_mean() -> None:

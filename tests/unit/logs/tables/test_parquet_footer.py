@@ -30,6 +30,13 @@ _GROUP = Value(12, {1: Value(9, [_COLUMN], 12)})
 OF_ANOTHER_TYPE = encoded(Value(12, {4: Value(9, [_GROUP], 12)}))
 
 
+def with_values(count: int) -> bytes:
+    """Return a footer of one column with so many values."""
+    metadata = Value(12, {3: Value(9, [Value(8, b"t")], 8), 5: Value(6, count)})
+    group = Value(12, {1: Value(9, [Value(12, {3: metadata})], 12)})
+    return encoded(Value(12, {4: Value(9, [group], 12)}))
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "log.parquet"
@@ -54,6 +61,45 @@ def test_columns_are_counted_as_arrow_counts_them(path: Path) -> None:
             counts[name] = counts.get(name, 0) + column.num_values
     assert metadata.num_row_groups == 4
     assert values_by_column(path) == counts
+
+
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        (3, b"\x2a"),
+        (7, struct.pack("<d", 1.5)),
+        # In a list, as in a set, a truth value has a byte of its own.
+        (9, b"\x21\x01\x02"),
+        (9, b"\x22\x00\x01"),
+        (10, b"\x25\x02\x04"),
+        # From two texts to numbers.
+        (11, b"\x02\x86" + b"\x01a\x02" + b"\x01b\x04"),
+        (11, b"\x00"),
+    ],
+    ids=["byte", "double", "trues", "falses", "set", "map", "empty map"],
+)
+def test_fields_of_other_kinds_are_passed_over(
+    path: Path, kind: int, content: bytes
+) -> None:
+    """What a later version of the format may add does not change the counts."""
+    expected = values_by_column(path)
+    raw = path.read_bytes()
+    start = footer_of(raw)
+    # Field 100 comes first; field 1 then has its whole number as well.
+    added = bytes([kind]) + b"\xc8\x01" + content
+    assert raw[start] == 0x15
+    footer = added + b"\x05\x02" + raw[start + 1 : -8]
+    tail = struct.pack("<I", len(footer)) + b"PAR1"
+    path.write_bytes(raw[:start] + footer + tail)
+    assert values_by_column(path) == expected
+
+
+@pytest.mark.parametrize("count", [0, 1, 300, 2**62])
+def test_a_column_may_have_any_number_of_values(tmp_path: Path, count: int) -> None:
+    footer = with_values(count)
+    path = tmp_path / "log.parquet"
+    path.write_bytes(b"PAR1" + footer + struct.pack("<I", len(footer)) + b"PAR1")
+    assert values_by_column(path) == {"t": count}
 
 
 def test_damaged_footers_are_refused_or_read(path: Path) -> None:
@@ -81,10 +127,12 @@ def test_damaged_footers_are_refused_or_read(path: Path) -> None:
         (b"\x1c" * 100, "too deep"),
         (b"\x19\xfc\xff\xff\xff\xff\x0f", "longer than the footer"),
         (b"\x16" + b"\xff" * 12, "too many bytes"),
+        (b"\x16" + b"\xff" * 10 + b"\x01\x00", "too many bytes"),
         (b"\x1e\x00", "unknown kind"),
         (b"\x18\x05ab", "ends within"),
         (b"\x16\x02\x00", "a field is missing"),
         (OF_ANOTHER_TYPE, "a field is missing or of another type"),
+        (with_values(-3), "fewer values than none"),
     ],
 )
 def test_what_is_wrong_with_a_footer_is_said(

@@ -37,6 +37,9 @@ VELOCITY_FEEDFORWARD = "velocity_feedforward"
 ACCELERATION_FEEDFORWARD = "acceleration_feedforward"
 INTEGRAL = "integral"
 GRAVITY = "gravity_compensation"
+# What a model may lack: the law explains its torque together with these.
+ARMATURE = "armature"
+COULOMB = "coulomb"
 # Every part of a controller, in the order of documents.
 PARTS = (
     PROPORTIONAL,
@@ -54,6 +57,8 @@ UNITS = {
     ACCELERATION_FEEDFORWARD: "N m s^2/rad",
     GRAVITY: "1",
 }
+# Of the RMS speed: slower rows are near a reversal, where friction is any torque.
+SLOW = 0.2
 # The shortest stretch with an offset of its own: of a shorter one nothing is left.
 LEAST_STRETCH_S = 1.0
 # Rows are taken so many times per period of the cut-off: others repeat them.
@@ -114,7 +119,10 @@ class JointLaw:
             # A sum is not finite where one of its parts is not.
             keep = used & np.isfinite(columns @ np.ones(columns.shape[1]) + y)
             stride = self._stride(log)
-            for stretch in self._stretches(lawful, log.rate_hz, INTEGRAL in names):
+            of_log = [np.flatnonzero(lawful)]
+            if INTEGRAL in names:
+                of_log = stretches(lawful, log.rate_hz)
+            for stretch in of_log:
                 rows = stretch[keep[stretch] & (stretch % stride == 0)]
                 if len(rows) <= len(names) + 1:
                     continue
@@ -153,7 +161,7 @@ class JointLaw:
             return np.zeros((len(log.q), 0))
         return delayed_bends(log, delays.torque, delays.torque + delays.command)
 
-    def _summed(
+    def summed(
         self, log: DriveSignals, error: Array, lag: float, total: float
     ) -> Array:
         """Return the integral (N,) of the error [rad s]."""
@@ -181,7 +189,7 @@ class JointLaw:
         error = delayed - shifted(log.q[:, j], lag)
         columns = {PROPORTIONAL: error}
         if INTEGRAL in names:
-            columns[INTEGRAL] = self._summed(log, error, lag, total)
+            columns[INTEGRAL] = self.summed(log, error, lag, total)
         if DERIVATIVE in names:
             columns[DERIVATIVE] = -shifted(log.dq[:, j], lag)
         if VELOCITY_FEEDFORWARD in names:
@@ -190,18 +198,45 @@ class JointLaw:
             columns[ACCELERATION_FEEDFORWARD] = shifted(command.ddc[:, j], total)
         if GRAVITY in names:
             columns[GRAVITY] = shifted(log.gravity[:, j], lag)
+        if ARMATURE in names:
+            columns[ARMATURE] = -log.ddq[:, j]
+        if COULOMB in names:
+            columns[COULOMB] = -np.sign(log.dq[:, j])
         return np.stack([columns[name] for name in names], axis=1), log.torque[:, j]
 
-    def _stretches(self, lawful: Mask, rate_hz: float, integral: bool) -> list[Rows]:
-        """Return rows that share an offset: of a log, or of a stretch of it."""
-        if not integral:
-            return [np.flatnonzero(lawful)]
-        least = LEAST_STRETCH_S * rate_hz
-        return [
-            np.arange(start, stop)
-            for start, stop in runs(lawful, len(lawful))
-            if stop - start >= least
-        ]
+
+def stretches(lawful: Mask, rate_hz: float) -> list[Rows]:
+    """Return the rows of each stretch in which a controller goes by its law."""
+    least = LEAST_STRETCH_S * rate_hz
+    return [
+        np.arange(start, stop)
+        for start, stop in runs(lawful, len(lawful))
+        if stop - start >= least
+    ]
+
+
+def telling_rows(log: DriveSignals, joint: int) -> Mask:
+    """Return the samples of a log that tell the law of a joint."""
+    used = log.usable[:, joint].copy()
+    if not log.measured:
+        # At rest friction is anything up to its limit.
+        speed = np.abs(log.dq[:, joint])
+        rms = float(np.sqrt(np.mean(speed[used] ** 2))) if used.any() else 0.0
+        used &= log.moving[:, joint] & (speed > SLOW * rms)
+    return used
+
+
+def summed_error(
+    law: JointLaw, log: DriveSignals, delay_s: float, dead_band: float
+) -> Array:
+    """Return the sum (N,) of a joint's error beyond a dead band, at rows [rad s]."""
+    j = law.joint
+    delayed = delayed_command(log, law.course, j, delay_s)
+    error = delayed - log.q[:, j]
+    if dead_band:
+        error = error - np.clip(error, -dead_band, dead_band)
+        return _trapezoids(error) / log.rate_hz
+    return law.summed(log, error, 0.0, delay_s * log.rate_hz)
 
 
 def _orthonormal(columns: Array) -> Array:

@@ -24,6 +24,7 @@ from seqid_cli.drive.equations import (
     Delays,
     JointLaw,
     own_shares,
+    telling_rows,
 )
 from seqid_cli.drive.limits import (
     NEAR_LIMIT,
@@ -45,7 +46,6 @@ from seqid_cli.drive.search import (
 )
 from seqid_cli.drive.settings import DriveSettings, TermSettings
 from seqid_cli.drive.signals import DriveSignals, courses_of_all
-from seqid_cli.typing import Mask
 
 FEEDFORWARD = (VELOCITY_FEEDFORWARD, ACCELERATION_FEEDFORWARD)
 # Share of a part's column that no other explains: with less, logs cannot show the part.
@@ -54,8 +54,6 @@ MIN_OWN_SHARE = 0.005
 MIN_GAIN = 0.005
 # Standard errors by which half of the band moves a number by chance.
 BAND_SIGMA = 3.0
-# Of the RMS speed: slower rows are near a reversal, where friction is any torque.
-SLOW = 0.2
 
 
 def fit_joint(
@@ -123,7 +121,7 @@ def _begun(
         logs=logs,
         joint=joint,
         course=course,
-        used=[_used(log, joint) for log in logs],
+        used=[telling_rows(log, joint) for log in logs],
         lawful=[log.usable[:, joint] for log in logs],
     )
     largest = max(
@@ -167,7 +165,7 @@ def _finished(
     limit = beginning.limit
     if limit is not None:
         # The first law lacks parts, an integral above all, and may ask for too much.
-        of_all = replace(law, used=[_used(log, law.joint) for log in law.logs])
+        of_all = replace(law, used=[telling_rows(log, law.joint) for log in law.logs])
         if torque_limit_of(of_all, names, solution, beginning.largest) is None:
             limit = None
     return _described(
@@ -180,17 +178,6 @@ def _finished(
         limit,
         beginning.largest,
     )
-
-
-def _used(log: DriveSignals, joint: int) -> Mask:
-    """Return the samples of a log that count for a joint."""
-    used = log.usable[:, joint].copy()
-    if not log.measured:
-        # At rest friction is anything up to its limit.
-        speed = np.abs(log.dq[:, joint])
-        rms = float(np.sqrt(np.mean(speed[used] ** 2))) if used.any() else 0.0
-        used &= log.moving[:, joint] & (speed > SLOW * rms)
-    return used
 
 
 def _shown(law: JointLaw, delays: Delays) -> tuple[dict[str, float], list[str]]:

@@ -333,22 +333,37 @@ class _CurveOfStretches:
 def beside_model(
     speed: Array,
     acceleration: Array,
+    direction: Array,
     *,
-    armature: Array,
-    viscous: Array,
-    coulomb: Array,
+    armature: Array | float,
+    viscous: Array | float,
+    coulomb: Array | float,
 ) -> Array:
     """Return the torque [N m] of rotors and friction that a model lacks.
 
     Parameters
     ----------
-    speed, acceleration : Array
-        rad/s, rad/s^2, of any shape.
-    armature, viscous, coulomb : Array
+    speed, acceleration, direction : Array
+        rad/s, rad/s^2, and the sign of the speed, of any shape.
+    armature, viscous, coulomb : Array or float
         kg m^2, N m s/rad, N m, of a shape that goes with it.
     """
-    of_friction = viscous * speed + coulomb * np.sign(speed)
+    of_friction = viscous * speed + coulomb * direction
     return np.asarray(armature * acceleration + of_friction)
+
+
+def mean_command(
+    log: DriveSignals, course: str, joint: int, t: Array, step_s: float
+) -> Array:
+    """Return a joint's mean command over the steps about some times [rad].
+
+    A step that comes between two steps of a simulation counts by its share.
+    """
+    if course != "held":
+        return command_at(log, course, joint, t)
+    half = 0.5 * step_s
+    later = sum_of_steps(log, joint, t + half)
+    return np.asarray(later - sum_of_steps(log, joint, t - half)) / step_s
 
 
 def sum_of_steps(log: DriveSignals, joint: int, t: Array) -> Array:

@@ -2,15 +2,19 @@
 
 Everything is stepped together for B windows, so that a step costs a few calls of numpy,
 however many windows there are. With the mass matrix M, gravity and Coriolis torques h,
-friction f and a controller whose damping kd counts at the new speed (stiff dampers of
-light joints would otherwise oscillate), a step of dt is
+friction f, and the damping D of controllers and viscous friction, a step of dt is
 
-    (M + dt kd) v' = M v + dt (u - h - f),    q' = q + dt v'.
+    (M + D dt/2) v' = (M - D dt/2) v + dt (u - h - f),    q' = q + dt v',
+
+speeds between positions (leapfrog), which is of second order. Damping counts at the
+mean of both speeds, so that stiff dampers of light joints do not oscillate. What else
+depends on speeds (Coriolis torques, the model's friction) takes them at the positions,
+by the two speeds before.
 
 Friction is what opposes motion: f lies between its values for both directions, and is
-inside where the joint stands. With A = M + dt kd this is a complementarity problem
+inside where the joint stands. With A = M + D dt/2 this is a complementarity problem
 
-    v' = A^-1 (M v + dt (u - h)) - dt A^-1 f,    f_lo <= f <= f_hi,
+    v' = A^-1 ((M - D dt/2) v + dt (u - h)) - dt A^-1 f,    f_lo <= f <= f_hi,
 
 solved joint by joint in turn (projected Gauss-Seidel), beginning with the friction of
 the step before. A torque at its limit has no damping of its own.
@@ -23,7 +27,7 @@ measured speed beside which its inertia counts for nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +36,7 @@ from seqid_cli.drive.friction_table import FrictionTable
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.typing import Array, Mask
 
-STEP_S = 1e-3  # at most; half of it moves a replayed position by less than 1e-4 of it
+STEP_S = 1e-3  # at most; half of it moves a replayed position by some 1e-6 rad
 SWEEPS = 8  # over the joints, for friction; one joint is solved by the first
 FASTEST = 1e3  # rad/s, that no joint reaches
 HOLDS = 1e-9  # share by which friction holds more than it must: rounding moves nothing
@@ -87,6 +91,44 @@ class Simulated:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """Where B windows are, (B, n) each.
+
+    Attributes
+    ----------
+    q : array
+        rad.
+    v : array
+        rad/s, half a step before the positions; of the first one at these.
+    v_before : array, optional
+        rad/s, a step before; None where windows begin.
+    friction : array
+        N m, of the last step.
+    """
+
+    q: Array
+    v: Array
+    v_before: Array | None
+    friction: Array
+
+    @classmethod
+    def begun(cls, q0: Array, v0: Array) -> "_Motion":
+        """Return the motion where windows begin."""
+        return cls(q=q0, v=v0, v_before=None, friction=np.zeros_like(q0))
+
+    def stopped(self, standing: Mask) -> "_Motion":
+        """Return the motion with joints (B, n) that stand."""
+        return replace(self, v=np.where(standing, 0.0, self.v))
+
+    @property
+    def v_at_row(self) -> Array:
+        """Speeds at the positions, as far as is known before the step."""
+        if self.v_before is None:
+            return self.v
+        return np.asarray(1.5 * self.v - 0.5 * self.v_before)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
     """An arm with its controllers."""
 
@@ -99,7 +141,7 @@ class ClosedLoop:
         self,
         q0: Array,
         v0: Array,
-        first_torque: Array,
+        integral: Array,
         asked: Asked,
         step_s: float,
         standing: Mask | None = None,
@@ -110,8 +152,8 @@ class ClosedLoop:
         ----------
         q0, v0 : (B, n) arrays
             rad, rad/s.
-        first_torque : (B, n) array
-            N m, by which integrals begin where they must be.
+        integral : (B, n) array
+            rad s, with which controllers begin.
         asked : Asked
         step_s : float
         standing : (B, n) mask, optional
@@ -119,65 +161,70 @@ class ClosedLoop:
             torque, until they move.
         """
         gains = self.gains
-        steps = len(asked.c)
-        q = q0.copy()
-        v = v0.copy()
-        f = np.zeros_like(q)
-        holding = np.zeros_like(q)
-        added = self._added(q, asked)
+        motion = _Motion.begun(q0, v0)
+        holding = np.zeros_like(q0)
+        added = self._added(q0, asked)
         out = Simulated(
             q=np.empty_like(asked.c),
             dq=np.empty_like(asked.c),
             torque=np.empty_like(asked.c),
         )
-        # The integral holds whatever the torque has beside the rest of the law.
-        first = self._law(asked, 0, q, v, np.zeros_like(q))
-        integral = np.where(
-            gains.integral != 0.0,
-            (first_torque - first + gains.derivative * v)
-            / np.where(gains.integral != 0.0, gains.integral, 1.0),
-            0.0,
-        )
-        for k in range(steps):
-            # `wanted` lacks the damping, which counts at the new speed.
-            wanted = self._law(asked, k, q, v, integral)
+        error_before = asked.c[0] - q0
+        is_free = np.ones(q0.shape, np.bool_)
+        for k in range(len(asked.c)):
+            q = motion.q
+            v = motion.v_at_row
+            # By trapezoids: of whole steps, half of one would be a part of kp. A
+            # controller at its limit does not sum up what it cannot give.
+            error = self._error(asked, k, q)
+            if k:
+                mean = 0.5 * (error_before + error)
+                integral = integral + np.where(is_free, mean, 0.0) * step_s
+            error_before = error
+            # `wanted` lacks the damping, which counts in the middle of the step.
+            wanted = self._law(asked, k, q, error, integral)
             damped = wanted - gains.derivative * v
             is_free = np.abs(damped) <= gains.torque_limit
             limited = np.clip(damped, -gains.torque_limit, gains.torque_limit)
             u = np.where(is_free, wanted, limited)
             kd = np.where(is_free, gains.derivative, 0.0)
-            out.q[k] = q
-            out.dq[k] = v
-            out.torque[k] = u - kd * v
             if k == 0 and standing is not None:
-                v = np.where(standing, 0.0, v)
-                holding = self._holding(q, v, u, standing, added)
+                motion = motion.stopped(standing)
+                holding = self._holding(motion, u, standing, added)
             led = None if asked.led is None else asked.led[k]
-            before = q
-            q, v, f = self._stepped(q, v, f, u, kd, step_s, holding, added, led)
-            added.travelled(q - before)
-            holding = np.where(v == 0.0, holding, 0.0)
-            # A controller at its limit does not sum up what it cannot give.
-            integral = integral + np.where(is_free, asked.c[k] - q, 0.0) * step_s
+            later = self._stepped(motion, u, kd, step_s, holding, added, led)
+            out.q[k] = q
+            out.dq[k] = v if k == 0 else 0.5 * (motion.v + later.v)
+            out.torque[k] = u - kd * out.dq[k]
+            added.travelled(later.q - q)
+            holding = np.where(later.v == 0.0, holding, 0.0)
+            motion = later
         return out
 
     def run_open(self, q0: Array, v0: Array, torque: Array, step_s: float) -> Simulated:
         """Run the windows by a given torque (T, B, n), without controllers."""
-        q = q0.copy()
-        v = v0.copy()
-        f = np.zeros_like(q)
+        motion = _Motion.begun(q0, v0)
+        nothing = np.zeros_like(q0)
         out = Simulated(
             q=np.empty_like(torque), dq=np.empty_like(torque), torque=torque
         )
-        added = self._added(q, None)
+        added = self._added(q0, None)
         for k in range(len(torque)):
-            out.q[k] = q
-            out.dq[k] = v
-            nothing = np.zeros_like(q)
-            before = q
-            q, v, f = self._stepped(q, v, f, torque[k], nothing, step_s, nothing, added)
-            added.travelled(q - before)
+            later = self._stepped(motion, torque[k], nothing, step_s, nothing, added)
+            out.q[k] = motion.q
+            out.dq[k] = v0 if k == 0 else 0.5 * (motion.v + later.v)
+            added.travelled(later.q - motion.q)
+            motion = later
         return out
+
+    def integrals_at_rest(self, q: Array) -> Array:
+        """Return the integrals (B, n) [rad s] by which joints stay where they are."""
+        gains = self.gains
+        at_rest = np.zeros_like(q)
+        left = (1.0 - gains.gravity) * self.model.rigid(q, at_rest, at_rest)
+        is_there = gains.integral != 0.0
+        divisor = np.where(is_there, gains.integral, 1.0)
+        return np.where(is_there, (left - gains.offset) / divisor, 0.0)
 
     def _added(self, q: Array, asked: Asked | None) -> "AddedTorques":
         """Return what effects add, with their states where windows begin."""
@@ -191,11 +238,17 @@ class ClosedLoop:
             celsius=None if asked is None else asked.celsius,
         )
 
-    def _law(self, asked: Asked, k: int, q: Array, v: Array, integral: Array) -> Array:
+    def _error(self, asked: Asked, k: int, q: Array) -> Array:
+        """Return the error of the position (B, n) [rad] that counts."""
+        error = asked.c[k] - q
+        band = self.gains.dead_band
+        return np.asarray(error - np.clip(error, -band, band))
+
+    def _law(
+        self, asked: Asked, k: int, q: Array, error: Array, integral: Array
+    ) -> Array:
         """Return what the controllers ask for without their damping (B, n) N m."""
         gains = self.gains
-        error = asked.c[k] - q
-        error = error - np.clip(error, -gains.dead_band, gains.dead_band)
         u = gains.proportional * error + gains.offset
         u = u + gains.velocity_feedforward * asked.dc[k]
         u = u + gains.acceleration_feedforward * asked.ddc[k]
@@ -207,34 +260,37 @@ class ClosedLoop:
 
     def _stepped(
         self,
-        q: Array,
-        v: Array,
-        f: Array,
+        motion: "_Motion",
         u: Array,
         kd: Array,
         step_s: float,
         holding: Array,
         added: "AddedTorques",
         led: Array | None = None,
-    ) -> tuple[Array, Array, Array]:
-        """Return positions, speeds and friction (B, n) a step later."""
-        M, h = self._dynamics(q, v)
-        h = h + added.torque(q, v, h)
+    ) -> "_Motion":
+        """Return the motion a step later."""
+        q = motion.q
+        v = motion.v_at_row
+        # The first step brings speeds from their row to the middle of the step.
+        h = 0.5 * step_s if motion.v_before is None else step_s
+        M, rest = self._dynamics(q, v)
+        rest = rest + added.torque(q, v, rest)
         n = q.shape[1]
-        A = M + step_s * kd[:, :, None] * np.eye(n)
-        momentum = np.einsum("bij,bj->bi", M, v)
+        halved = 0.5 * h * (kd + self.gains.viscous)
+        A = M + halved[:, :, None] * np.eye(n)
+        momentum = np.einsum("bij,bj->bi", M, motion.v) - halved * motion.v
         if led is not None:
             damper = np.where(np.isfinite(led), LEADS * np.abs(M).max(), 0.0)
             A = A + damper[:, :, None] * np.eye(n)
             momentum = momentum + damper * np.nan_to_num(led)
         inverse = np.linalg.inv(A)
-        w = np.einsum("bij,bj->bi", inverse, momentum + step_s * (u - h))
-        inverse = step_s * inverse
+        w = np.einsum("bij,bj->bi", inverse, momentum + h * (u - rest))
+        inverse = h * inverse
 
-        low, high = self._friction(q, v, h, added)
+        low, high = self._friction(q, v, rest, added)
         low = low - holding
         high = high + holding
-        f = f.copy()
+        f = motion.friction.copy()
         for _ in range(SWEEPS if n > 1 else 1):
             for j in range(n):
                 speed = w[:, j] - np.einsum("bk,bk->b", inverse[:, j], f)
@@ -248,15 +304,14 @@ class ClosedLoop:
         # A loop that is not stable stays a number, and far off.
         fastest = np.minimum(self.gains.velocity_limit, FASTEST)
         v_next = np.clip(np.nan_to_num(v_next), -fastest, fastest)
-        return q + step_s * v_next, v_next, f
+        return _Motion(q=q + step_s * v_next, v=v_next, v_before=motion.v, friction=f)
 
     def _friction(
         self, q: Array, v: Array, load: Array, added: "AddedTorques"
     ) -> tuple[Array, Array]:
         """Return the least and the largest friction (B, n) N m."""
         gains = self.gains
-        size = gains.coulomb + gains.viscous * np.abs(v)
-        size = size + gains.load_friction * np.abs(load)
+        size = gains.coulomb + gains.load_friction * np.abs(load)
         size = size + gains.stribeck * np.exp(-np.square(v / gains.stribeck_speed))
         limits = [
             table.limits(q[:, j], v[:, j]) for j, table in enumerate(self.friction)
@@ -271,13 +326,15 @@ class ClosedLoop:
         return np.minimum(low, high), np.maximum(low, high)
 
     def _holding(
-        self, q: Array, v: Array, u: Array, standing: Mask, added: "AddedTorques"
+        self, motion: "_Motion", u: Array, standing: Mask, added: "AddedTorques"
     ) -> Array:
         """Return the torque (B, n) beyond its law by which friction holds joints."""
-        _, h = self._dynamics(q, v)
-        h = h + added.torque(q, v, h)
-        low, high = self._friction(q, v, h, added)
-        beyond = np.maximum(u - h - high, low - (u - h))
+        q = motion.q
+        v = motion.v
+        _, rest = self._dynamics(q, v)
+        rest = rest + added.torque(q, v, rest)
+        low, high = self._friction(q, v, rest, added)
+        beyond = np.maximum(u - rest - high, low - (u - rest))
         return np.where(standing, np.maximum(beyond, 0.0) * (1.0 + HOLDS), 0.0)
 
     def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:

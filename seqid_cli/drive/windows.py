@@ -16,17 +16,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from seqid_cli.drive.effects import ArmEffects, EffectTorque
+from seqid_cli.drive.equations import INTEGRAL, PARTS, Delays
+from seqid_cli.drive.integrals import stretch_means
 from seqid_cli.drive.signals import (
     STANDS_S,
     STANDS_STEPS,
     DriveSignals,
-    beside_model,
     command_at,
+    mean_command,
     slopes_at,
     table_for,
 )
 from seqid_cli.drive.simulation import STEP_S, Asked, ClosedLoop, Gains
 from seqid_cli.effects.memory import deflection
+from seqid_cli.logs.raw import Rows
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.drive import DriveFile, JointDrive
@@ -167,8 +170,7 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
     rows = windows[0].stop - windows[0].start
     q0 = np.stack([window.log.q[window.start] for window in windows])
     v0 = np.stack([window.log.dq[window.start] for window in windows])
-    drives = gains_of(file, list(file.robot.joints))
-    first_torque = np.stack([_first_torque(drives, window) for window in windows])
+    integral = _first_integrals(file, windows)
     steps = (rows - 1) * per_row + 1
     asked = replace(
         _asked(file, windows, steps, step_s),
@@ -176,7 +178,7 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
         bristles=[_bristles(each, windows) for each in loop.effects],
     )
     standing = np.array([_stands(window) for window in windows])
-    simulated = loop.run(q0, v0, first_torque, asked, step_s, standing)
+    simulated = loop.run(q0, v0, integral, asked, step_s, standing)
 
     measured = _rows(windows, "q")
     speed = _rows(windows, "dq")
@@ -200,23 +202,46 @@ def _run(loop: ClosedLoop, file: DriveFile, windows: Sequence[Window]) -> Replay
     )
 
 
-def _first_torque(drives: Gains, window: Window) -> Array:
-    """Return the torque (n,) [N m] with which a window begins.
+def _first_integrals(file: DriveFile, windows: Sequence[Window]) -> Array:
+    """Return the integrals (B, n) [rad s] with which windows begin, by their logs."""
+    begun = np.zeros((len(windows), len(file.robot.joints)))
+    logs = {id(window.log): window.log for window in windows}
+    for key, log in logs.items():
+        of_log = [b for b, window in enumerate(windows) if id(window.log) == key]
+        rows = np.array([windows[b].start for b in of_log])
+        for j, name in enumerate(file.robot.joints):
+            joint = file.joints.get(name, NO_DRIVE)
+            if joint.value(INTEGRAL):
+                begun[of_log, j] = _first_of_joint(joint, j, log, rows)
+    return begun
 
-    Where it was not measured it is the model's. What the drives were found to have
-    beside the model, rotors and friction, is added.
-    """
-    log = window.log
-    torque: Array = log.torque[window.start]
-    if log.measured:
-        return torque
-    return torque + beside_model(
-        log.dq[window.start],
-        log.ddq[window.start],
-        armature=drives.armature,
-        viscous=drives.viscous,
-        coulomb=drives.coulomb,
+
+def _first_of_joint(joint: JointDrive, j: int, log: DriveSignals, rows: Rows) -> Array:
+    """Return the integral (K,) [rad s] of a joint at rows of a log."""
+    gains = {part: joint.value(part) for part in PARTS}
+    limit = joint.known("torque_limit")
+    means = stretch_means(
+        log,
+        j,
+        _course(joint, log),
+        rows,
+        [part for part in PARTS if part != INTEGRAL and gains[part]],
+        Delays(command=joint.value("command_delay"), torque=joint.value("torque_lag")),
+        torque_limit=np.inf if limit is None else limit,
+        dead_band=joint.value("dead_band"),
     )
+    return means.integrals(
+        gains,
+        offset=joint.offset,
+        armature=joint.value("armature"),
+        viscous=joint.value("viscous"),
+        coulomb=joint.value("coulomb"),
+    )
+
+
+def _course(joint: JointDrive, log: DriveSignals) -> str:
+    """Return what a joint's commands do between two stamps of a log."""
+    return joint.command if joint.command in log.commands else "interpolated"
 
 
 def _stands(window: Window) -> Mask:
@@ -255,8 +280,8 @@ def _asked(
             if joint is None:
                 continue
             at = t - joint.value("command_delay")
-            c[:, w, j] = command_at(log, joint.command, j, at)
-            course = joint.command if joint.command in log.commands else "interpolated"
+            c[:, w, j] = mean_command(log, joint.command, j, at, step_s)
+            course = _course(joint, log)
             if joint.value("velocity_feedforward"):
                 dc[:, w, j] = slopes_at(log, course, j, at)
             if joint.value("acceleration_feedforward"):
@@ -482,7 +507,7 @@ def step_responses(
         led = np.full_like(c, np.nan)
         led[:, :, [j for j in range(len(names)) if j not in driven]] = 0.0
     asked = Asked(c=c, dc=nothing, ddc=nothing, led=led)
-    run = loop.run(middle, rest, rest, asked, STEP_S)
+    run = loop.run(middle, rest, loop.integrals_at_rest(middle), asked, STEP_S)
     begin = round((STEP_AT_S - SHOWN_BEFORE_S) / STEP_S)
     shown = slice(begin, None, max(1, (count - begin) // TRACE_POINTS))
     traces = {}

@@ -21,9 +21,8 @@ from seqid_cli.drive.signals import (
     STANDS_S,
     STANDS_STEPS,
     DriveSignals,
-    command_at,
+    mean_command,
     slopes_at,
-    sum_of_steps,
 )
 from seqid_cli.logs.raw import Rows
 from seqid_cli.model.torque import TorqueModel
@@ -77,11 +76,6 @@ class JointCourse:
         N m, by the model.
     load : (K, B) array
         N m, the torque behind the joint's gear.
-    torque : (B,) array
-        N m, at the first row, by which integrals begin: as it was measured, or as the
-        model has it.
-    acceleration : (B,) array
-        rad/s^2, at the first row.
     stands : (B,) mask
         Whether the joint has stood still for a moment where the window begins.
     times : (K, B) array
@@ -105,8 +99,6 @@ class JointCourse:
     slope: Array
     gravity: Array
     load: Array
-    torque: Array
-    acceleration: Array
     stands: Mask
     times: Array
     step_s: Array
@@ -197,8 +189,6 @@ class JointCourse:
             slope=self.slope[:, chosen],
             gravity=self.gravity[:, chosen],
             load=self.load[:, chosen],
-            torque=self.torque[chosen],
-            acceleration=self.acceleration[chosen],
             stands=self.stands[chosen],
             times=self.times[:, chosen],
             step_s=self.step_s[chosen],
@@ -213,17 +203,6 @@ def _between(values: Array, places: Array) -> Array:
     step = np.floor(places).astype(np.intp)
     share = (places - step)[:, None]
     return np.asarray((1.0 - share) * values[step] + share * after[step])
-
-
-def mean_command(
-    log: DriveSignals, course: str, joint: int, t: Array, step_s: float
-) -> Array:
-    """Return a joint's mean command over the steps about some times [rad]."""
-    if course != "held":
-        return command_at(log, course, joint, t)
-    half = 0.5 * step_s
-    later = sum_of_steps(log, joint, t + half)
-    return np.asarray(later - sum_of_steps(log, joint, t - half)) / step_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -407,10 +386,6 @@ def _course(
         slope=at_steps("slope"),
         gravity=at_steps("gravity"),
         load=at_steps("load"),
-        torque=np.array(
-            [motions[place.log].log.torque[place.start, joint] for place in places]
-        ),
-        acceleration=of_rows("ddq")[0],
         stands=np.array([stands(motions[p.log], joint, p.start) for p in places]),
         times=np.array(starts) + np.arange(steps)[:, None] * step_s,
         step_s=step_s,

@@ -63,6 +63,7 @@ def fit_all_windows(
             course = fit.course
         else:
             course = courses_of_all(logs)[0]
+        torque_lag = 0.0 if fit is None else fit.delays.torque
         limits = (None, None) if fit is None else (fit.limit, fit.speed_limit)
         torque_limit, velocity_limit = (
             np.inf if limit is None else limit.value for limit in limits
@@ -74,6 +75,7 @@ def fit_all_windows(
                     course=each,
                     friction=friction,
                     torque_limit=torque_limit,
+                    torque_lag=torque_lag,
                     velocity_limit=velocity_limit,
                 )
                 for each in courses_of(

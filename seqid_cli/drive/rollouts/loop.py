@@ -19,9 +19,10 @@ from functools import cached_property
 
 import numpy as np
 
+from seqid_cli.drive.equations import INTEGRAL, PARTS, Delays
 from seqid_cli.drive.friction_table import FrictionAlong, FrictionTable
+from seqid_cli.drive.integrals import stretch_means
 from seqid_cli.drive.rollouts.course import JointCourse
-from seqid_cli.drive.signals import beside_model
 from seqid_cli.logs.raw import Rows
 from seqid_cli.typing import Array
 
@@ -72,6 +73,7 @@ class JointLoop:
     course: JointCourse
     friction: FrictionTable | None = field(repr=False)
     torque_limit: float = np.inf  # N m
+    torque_lag: float = 0.0  # s, of a measured torque
     velocity_limit: float = np.inf  # rad/s
 
     def run(self, values: LoopValues) -> Array:
@@ -124,6 +126,7 @@ class _Run:
         q = np.broadcast_to(course.q0, self.shape) + self.values.start_offset
         v = np.broadcast_to(course.v0, self.shape) + self.values.start_speed
         integral = _Integral(self) if self.values.has("integral") else None
+        v_before = v
         out = np.empty((self.shape[0], len(course.q), self.shape[1]))
         out[:, 0] = q
         # A loop that is not stable stays a number, and far off.
@@ -133,10 +136,15 @@ class _Run:
                 for i, k in enumerate(range(steps.start, steps.stop)):
                     u = piece.law(i, q)
                     if integral is not None:
-                        u = integral.added(k, u, q, v)
+                        u = integral.added(k, u, q)
                     if k == 0:
                         self._hold(piece, u, v)
-                    v = self._next_speed(piece, k, q, v, u)
+                        v_before = v
+                    # Speeds are half a step behind positions, but for the first ones.
+                    v_at_row = v if k == 0 else 1.5 * v - 0.5 * v_before
+                    limits = piece.friction(i, v_at_row)
+                    v_before = v
+                    v = self._next_speed(piece, k, q, v, u, limits)
                     q = q + course.step_s * v
                     if (k + 1) % per_row == 0:
                         out[:, (k + 1) // per_row] = q
@@ -154,9 +162,15 @@ class _Run:
         v[:, self.course.stands] = 0.0
 
     def _next_speed(
-        self, piece: "_Piece", k: int, q: Array, v: Array, u: Array
+        self,
+        piece: "_Piece",
+        k: int,
+        q: Array,
+        v: Array,
+        u: Array,
+        limits: tuple[Array, Array],
     ) -> Array:
-        """Return speeds (S, B) in the middle of the step."""
+        """Return speeds (S, B) in the middle of the step, given limits of friction."""
         i = k - piece.steps.start
         damping = self.values.derivative
         limit = self.loop.torque_limit
@@ -172,7 +186,7 @@ class _Run:
         m = piece.inertia[i]
         halved = 0.5 * h * damping
         momentum = (m - halved) * v + h * (u - piece.rest(i, q))
-        low, high = piece.friction(i, v)
+        low, high = limits
         if self.holding is not None:
             low = low - self.holding
             high = high + self.holding
@@ -192,45 +206,64 @@ class _Integral:
 
     def __init__(self, run: _Run) -> None:
         self.run = run
-        self.summed: Array | None = None  # (S, B) rad s
         _, of_set = run.of_delay
         self.commands = run.commands[of_set]
+        self.summed = self._first()  # (S, B) rad s
+        self.error_before: Array | None = None
 
-    def added(self, k: int, u: Array, q: Array, v: Array) -> Array:
+    def added(self, k: int, u: Array, q: Array) -> Array:
         """Return a torque (S, B) with that of the integral, and sum up the error."""
         values = self.run.values
-        if self.summed is None:
-            self.summed = self._first(u, v)
-        u = u + values.integral * self.summed
         error = self.commands[:, k] - q
         if values.has("dead_band"):
             error = error - np.clip(error, -values.dead_band, values.dead_band)
-        self.summed = self.summed + error * self.run.course.step_s
-        return u
+        if self.error_before is not None:
+            # By trapezoids: of whole steps, half of one would be a part of kp.
+            mean = 0.5 * (self.error_before + error)
+            self.summed = self.summed + mean * self.run.course.step_s
+        self.error_before = error
+        return np.asarray(u + values.integral * self.summed)
 
-    def _first(self, u: Array, v: Array) -> Array:
-        """Return the integral that has what the torque has beside the law's rest."""
+    def _first(self) -> Array:
+        """Return the integrals (S, B) with which windows begin, by the logs."""
         values = self.run.values
-        rest = self._torque(v) - u + values.derivative * v
-        is_there = values.integral != 0.0
-        divisor = np.where(is_there, values.integral, 1.0)
-        return np.where(is_there, rest / divisor, 0.0)
+        pairs = np.column_stack([values.command_delay, values.dead_band])
+        distinct, numbers = np.unique(pairs, axis=0, return_inverse=True)
+        of_logs = np.array([place.log for place in self.run.course.places])
+        begun = np.empty(self.run.shape)
+        for number, (delay_s, dead_band) in enumerate(distinct):
+            sets = np.flatnonzero(numbers.ravel() == number)
+            for log in np.unique(of_logs):
+                windows = np.flatnonzero(of_logs == log)
+                begun[np.ix_(sets, windows)] = self._first_of(
+                    sets, windows, float(delay_s), float(dead_band)
+                )
+        return begun
 
-    def _torque(self, v: Array) -> Array:
-        """Return the torque (S, B) with which windows begin.
-
-        Where it was not measured it is the model's, and what the model lacks is added.
-        """
+    def _first_of(
+        self, sets: Rows, windows: Rows, delay_s: float, dead_band: float
+    ) -> Array:
+        """Return those of some sets that have one delay, in windows of one log."""
         course = self.run.course
-        if course.logs[0].measured:
-            return course.torque
         values = self.run.values
-        return course.torque + beside_model(
-            v,
-            course.acceleration,
-            armature=values.armature,
-            viscous=values.viscous,
-            coulomb=values.coulomb,
+        parts = {name: getattr(values, name) for name in PARTS if name in NAMES}
+        places = [course.places[int(k)] for k in windows]
+        means = stretch_means(
+            course.logs[places[0].log],
+            course.joint,
+            course.course,
+            np.array([place.start for place in places]),
+            [name for name in parts if name != INTEGRAL and values.has(name)],
+            Delays(command=delay_s, torque=self.run.loop.torque_lag),
+            torque_limit=self.run.loop.torque_limit,
+            dead_band=dead_band,
+        )
+        return means.integrals(
+            {name: part[sets] for name, part in parts.items()},
+            offset=values.offset[sets],
+            armature=values.armature[sets],
+            viscous=values.viscous[sets],
+            coulomb=values.coulomb[sets],
         )
 
 

@@ -46,12 +46,14 @@ def with_true_gains(file: DriveFile, of: DrivenArm) -> DriveFile:
     true = {
         "proportional": of.drive.proportional,
         "derivative": of.drive.derivative,
+        "integral": of.drive.integral,
         "velocity_feedforward": of.drive.velocity_feedforward,
         "gravity_compensation": of.drive.gravity_compensation,
         "command_delay": np.full(of.robot.n, of.drive.command_delay),
     }
     changed = read_again(file)
     for j, joint in enumerate(changed.joints.values()):
+        joint.offset = 0.0
         for parameter in joint.parameters:
             if parameter.name in true:
                 parameter.value = float(true[parameter.name][j])
@@ -68,6 +70,25 @@ def test_a_held_out_log_is_followed_as_by_the_true_gains() -> None:
     true = drives.replay([held_out()], arm().robot, with_true_gains(fitted(), arm()))
     assert position.rms < 1.1 * true.joints["joint_1"].position.rms
     assert position.rms < 5e-4
+
+
+@pytest.mark.slow
+def test_true_numbers_are_off_by_little_more_than_noise() -> None:
+    true = with_true_gains(fitted(), arm())
+    (joint,) = drives.replay([held_out()], arm().robot, true).joints.values()
+    assert joint.position.rms < 5e-5
+
+
+@pytest.mark.slow
+def test_an_integral_begins_as_the_log_has_summed_it_up() -> None:
+    """Where a joint turns round, the torque of the moment says nothing of it."""
+    integrating = arm().with_drive(integral=1.5 * arm().drive.proportional)
+    log = simulate_drive(
+        integrating, multisine(31, 1, 12.0), 12.0, seed=31, with_torque=False
+    )
+    true = with_true_gains(fitted(), integrating)
+    (joint,) = drives.replay([log], arm().robot, true).joints.values()
+    assert joint.position.worst.rms < 1e-4
 
 
 def test_it_is_better_than_guesses_without_a_model() -> None:

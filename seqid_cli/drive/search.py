@@ -35,6 +35,7 @@ BEST_TOTALS = 4
 # Of what is left, by which times are not told apart: steps that come between two rows
 # are alike, but for the form of the law.
 ALIKE = 0.05
+AT_END = 0.5  # of the likeliest, from which on times beyond an end count
 MOST_MOVES = 4  # where the least is at an end of these times
 FINEST_S = 2e-5
 # Rounds of Gauss-Newton at most, shares of a step that are tried, and a step [s] after
@@ -247,7 +248,8 @@ def _refined_held(law: JointLaw, names: Sequence[str], start: Delays) -> Solutio
                 lag = solution.delays.torque
         weights = _likelihoods(law, solutions)
         likeliest = solutions[int(np.argmax(weights))]
-        at_end = int(np.argmax(weights)) in (0, len(solutions) - 1)
+        # Times that are not told apart share the weight: the first of them says little.
+        at_end = max(weights[0], weights[-1]) > AT_END * weights.max()
         lag = likeliest.delays.torque
         unknowns = np.array([_unknowns_of(solution) for solution in solutions])
         mean = weights @ unknowns

@@ -56,7 +56,15 @@ WINDOW_UNITS: Mapping[str, str] = {
 }
 STATES_OF_ROWS = ("identified", "absent")
 # What has no scale of its own where no torque, gravity or inertia is known.
-SCALED = (PROPORTIONAL, DERIVATIVE, INTEGRAL, "armature", "coulomb", "stribeck")
+SCALED = (
+    PROPORTIONAL,
+    DERIVATIVE,
+    INTEGRAL,
+    VELOCITY_FEEDFORWARD,
+    "armature",
+    "coulomb",
+    "stribeck",
+)
 TOO_FEW = "too few samples in which it follows its command: record more motion"
 NO_SCALE = (
     "without a torque only its ratio to gravity and inertia shows, and these are the"
@@ -281,7 +289,10 @@ class _Described:
                 name, value, fit.std_errors[name], self.unit(name), reason
             )
             has_no_scale = self.nominal and not self.measured and name in SCALED
-            if name in fit.open or has_no_scale:
+            # What rows have told by a torque is no guess, where windows add little.
+            by_torque = self.measured and before is not None
+            is_guess = name in fit.open and not by_torque
+            if is_guess or has_no_scale:
                 parameter.state = "not_shown"
                 parameter.reason = NO_SCALE if name in SCALED else PRIOR_ALONE
             elif name == DERIVATIVE and self._holds_viscous:

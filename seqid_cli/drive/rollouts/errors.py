@@ -43,12 +43,15 @@ def bias_of_steps(
 ) -> Array:
     """Return what the simulation's steps make of numbers (p,), as they are searched.
 
-    Numbers that are the prior's move as little as the prior lets them.
+    Directions of which the windows say less than the prior are left alone. Along the
+    scale of all torques, say, numbers go together by no linear law: to move them by one
+    would spoil ratios that are known well.
     """
-    H = _information(solution) + np.diag(unknowns.std**-2.0)
-    return np.asarray(
-        TO_NO_STEPS * _inverse(H) @ _pull_of_steps(loops, unknowns, solution)
-    )
+    std = unknowns.std
+    told, directions = np.linalg.eigh(std[:, None] * _information(solution) * std)
+    pull = directions.T @ (std * _pull_of_steps(loops, unknowns, solution))
+    moved = np.where(told > 1.0, pull / (told + 1.0), 0.0)
+    return np.asarray(TO_NO_STEPS * std * (directions @ moved))
 
 
 def std_errors(

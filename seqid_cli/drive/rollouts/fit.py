@@ -2,11 +2,11 @@
 
 Windows begin with the state of the log. What rows cannot show counts there: friction at
 rest, an inertia that the model lacks, terms of `terms`. The fit by rows gives start and
-prior. Where it says little (no torque, a model without friction) many starts are
-simulated at once on a few windows, and the best ones are searched from.
+prior. Where it says little (no torque, a model without friction) `structures` finds the
+parts of the controller as well.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,13 @@ from seqid_cli.drive.equations import (
 from seqid_cli.drive.rollouts.course import JointCourse
 from seqid_cli.drive.rollouts.errors import bias_of_steps, of_the_prior, std_errors
 from seqid_cli.drive.rollouts.loop import NAMES, JointLoop
-from seqid_cli.drive.rollouts.solver import Solved, errors_of, mean_squares, solved
+from seqid_cli.drive.rollouts.solver import Solved, solved
+from seqid_cli.drive.rollouts.structures import (
+    OPEN_STD,
+    PLAUSIBLE,
+    best_structure,
+    distance,
+)
 from seqid_cli.drive.rollouts.terms import (
     Parts,
     bounded_rms,
@@ -34,22 +40,14 @@ from seqid_cli.drive.row_fit import JointFit
 from seqid_cli.typing import Array
 
 FEWEST_WINDOWS = 8
-STARTS = 64  # simulated at once
-SEARCHED = 2  # of them, the best ones
-FIRST_ROUNDS = 6  # of Gauss-Newton on these
-FEW_WINDOWS = 24  # on which starts are compared, and searched first
-GRAVITY_STD = 0.5  # of a share of gravity that a controller adds
 # Where nothing is known: the loop's bandwidth [Hz], damping, and friction as a share of
 # the torque that the usual error of the position asks for.
 USUAL_HZ = 3.0
 USUAL_DAMPING = 0.7
 USUAL_FRICTION = 0.3
-# Integral gain per second as a share of the proportional one.
-USUAL_INTEGRAL_HZ = 1.0
 # Viscous friction as a share of the controller's damping.
 USUAL_VISCOUS = 0.1
-# Standard deviations of logarithms where nothing is known, and at least without torque.
-OPEN_STD = 1.0
+# Standard deviation of logarithms at least, without a torque.
 LEAST_STD = 0.3
 # Of the model's friction on another day.
 FRICTION_STD = 0.2
@@ -57,9 +55,7 @@ FRICTION_STD = 0.2
 LEAST_DELAY_STD_S = 5e-3
 OPEN_DELAY_S = 0.03
 DELAY_STEP_S = 1e-3  # by which derivatives are taken
-OFFSET_STEP = 1e-3  # N m
-# Standard deviations of the prior, from which on a number is none that can be.
-PLAUSIBLE = 3.5
+OFFSET_STEP = 1e-6  # N m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,8 +136,11 @@ def fit_windows(
     unknowns = first_unknowns(loops, by_rows, measured=measured, nominal=nominal)
     rms_by_rows = np.inf
     if by_rows is None:
-        unknowns, theta = _with_structure(parts.rough(), unknowns)
-        start = solved(parts.fitted, unknowns, theta)
+        structure = best_structure(parts.rough(), unknowns)
+        if structure is None:
+            return None
+        unknowns = structure.unknowns
+        start = solved(parts.fitted, unknowns, structure.solution.theta)
     else:
         start = solved(parts.fitted, unknowns, unknowns.mean)
         rms_by_rows = bounded_rms(parts.judged(unknowns, unknowns.mean))
@@ -191,7 +190,7 @@ def _finished(
     given = {} if by_rows is None else given_errors(unknowns, by_rows)
     bias = bias_of_steps(loops, unknowns, whole)
     errors = std_errors(loops, smooth, unknowns, whole, given, bias)
-    is_far = _distance(unknowns, whole.theta) > PLAUSIBLE
+    is_far = distance(unknowns, whole.theta) > PLAUSIBLE
     open_numbers = of_the_prior(unknowns, whole) | is_far
     natural = unknowns.natural((whole.theta - bias)[None])[0]
     values = dict(zip(unknowns.names, natural.tolist(), strict=True))
@@ -332,103 +331,6 @@ def _known_delay(by_rows: JointFit) -> Unknown:
         positive=False,
         step=DELAY_STEP_S,
     )
-
-
-def _with_structure(parts: Parts, unknowns: Unknowns) -> tuple[Unknowns, Array]:
-    """Find numbers where nothing is known, and which parts the controller has.
-
-    A part more is one that held-out windows gain by, or one that brings numbers back to
-    where they can be: gravity that a controller compensates shows no scale, and without
-    that part a search makes the joint as heavy as it takes to hide gravity. An integral
-    may take the place of any of them, so that each is tried with one.
-    """
-    choice, *others = _structures(parts, unknowns)
-    for structure in others:
-        if structure.is_better(choice):
-            choice = structure
-    return choice.unknowns, choice.solution.theta
-
-
-def _structures(parts: Parts, unknowns: Unknowns) -> "Iterator[_Choice]":
-    """Yield parts that a controller may have, without and with an integral."""
-    by_name = {unknown.name: unknown for unknown in unknowns.searched}
-    gain = by_name[PROPORTIONAL]
-    damping = by_name[DERIVATIVE]
-    speed = replace(damping, name=VELOCITY_FEEDFORWARD)
-    gravity = Unknown(name=GRAVITY, start=1.0, std=GRAVITY_STD, positive=False)
-    integral = _open(INTEGRAL, USUAL_INTEGRAL_HZ * gain.start)
-    for added in ([], [speed], [gravity], [speed, gravity]):
-        wider = unknowns.with_more(added)
-        solution = _best_of(parts.fitted, wider)
-        yield _Choice.of(parts, wider, solution)
-
-        # From where it has come to: gains and friction stay about as they are.
-        scale = solution.theta[wider.names.index(PROPORTIONAL)] - gain.mean
-        start = np.append(solution.theta, integral.mean + scale)
-        with_integral = wider.with_more([integral])
-        solution = solved(parts.fitted, with_integral, start)
-        yield _Choice.of(parts, with_integral, solution)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Choice:
-    """Parts of a controller, with their numbers.
-
-    Attributes
-    ----------
-    unknowns : Unknowns
-    solution : Solved
-    judged : (W,) array
-        rad^2, mean squares of the held-out windows.
-    """
-
-    unknowns: Unknowns
-    solution: Solved
-    judged: Array
-
-    @classmethod
-    def of(cls, parts: Parts, unknowns: Unknowns, solution: Solved) -> "_Choice":
-        judged = parts.judged(unknowns, solution.theta)
-        return cls(unknowns=unknowns, solution=solution, judged=judged)
-
-    @property
-    def is_plausible(self) -> bool:
-        return _is_plausible(self.unknowns, self.solution)
-
-    def is_better(self, other: "_Choice") -> bool:
-        """Tell whether held-out windows gain, or numbers become what they can be."""
-        if gains(other.judged, self.judged):
-            return True
-        is_needed = self.is_plausible and not other.is_plausible
-        return is_needed and not gains(self.judged, other.judged)
-
-
-def _distance(unknowns: Unknowns, theta: Array) -> Array:
-    """Return how far numbers (p,) are from their prior, in standard deviations."""
-    return np.asarray(np.abs(theta - unknowns.mean) / unknowns.std)
-
-
-def _is_plausible(unknowns: Unknowns, solution: Solved) -> bool:
-    return bool(_distance(unknowns, solution.theta).max() < PLAUSIBLE)
-
-
-def _best_of(loops: Sequence[JointLoop], unknowns: Unknowns) -> Solved:
-    """Search from the best of many starts."""
-    rng = np.random.default_rng(0)
-    spread = unknowns.std * rng.standard_normal((STARTS, len(unknowns.mean)))
-    spread[0] = 0.0
-    draws = unknowns.mean + spread
-    few = []
-    for loop in loops:
-        count = loop.course.windows
-        stride = max(1, count // FEW_WINDOWS)
-        few.append(replace(loop, course=loop.course.of(np.arange(0, count, stride))))
-    squares = mean_squares(errors_of(few, unknowns, draws))
-    # Means of RMS and not of squares: a wild window does not decide.
-    order = np.argsort(np.mean(np.sqrt(squares), axis=1))[:SEARCHED]
-    on_few = [solved(few, unknowns, draws[int(k)], rounds=FIRST_ROUNDS) for k in order]
-    best = min(on_few, key=lambda each: float(np.median(each.by_window)))
-    return solved(loops, unknowns, best.theta)
 
 
 def _friction_size(

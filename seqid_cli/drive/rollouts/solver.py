@@ -21,7 +21,7 @@ from seqid_cli.typing import Array
 
 ROUNDS = 12
 ENOUGH = 1e-4  # share by which the cost falls in the last round
-DAMPINGS = np.array([0.0, 1e-2, 1e-1, 1.0, 10.0, 100.0])
+DAMPINGS = np.array([0.0, 1e-6, 1e-4, 1e-2, 1.0, 100.0])
 # Rows are off alike over so long [s].
 ALIKE_S = 0.1
 # Of the median of windows, from which on a window counts less.

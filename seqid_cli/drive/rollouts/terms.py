@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from seqid_cli.drive.rollouts.loop import JointLoop
 from seqid_cli.drive.rollouts.solver import (
@@ -21,6 +23,7 @@ from seqid_cli.drive.rollouts.solver import (
     start_slopes,
 )
 from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
+from seqid_cli.logs.raw import Rows
 from seqid_cli.typing import Array
 
 STRIBECK = "stribeck"
@@ -32,10 +35,10 @@ LONGEST_GUESS_S = 0.3
 GUESS_STEP_S = 0.01
 # The logarithm of what is as good as nothing.
 NOTHING = -30.0
-# Of the mean square of held-out windows, by which a term lessens it.
+# Of the mean square of held-out windows, the share by which a term lessens it at least.
 LEAST_GAIN = 0.02
 # Times its standard error over the windows.
-GAIN_SIGMA = 2.0
+GAIN_SIGMA = 1.64
 
 
 def optional_terms(coulomb: float) -> Mapping[str, Sequence[Unknown]]:
@@ -84,6 +87,16 @@ class Parts:
         )
         return Parts(fitted=fitted, held_out=held_out)
 
+    def fewer(self, most: int) -> "Parts":
+        """Return so many of the windows that are fitted at most, evenly."""
+        total = sum(loop.course.windows for loop in self.fitted)
+        stride = max(1, round(total / most))
+        fitted = [
+            _some(loop, np.arange(0, loop.course.windows, stride))
+            for loop in self.fitted
+        ]
+        return replace(self, fitted=fitted)
+
     def judged(self, unknowns: Unknowns, theta: Array) -> Array:
         """Return mean squares (W,) [rad^2] of the held-out windows."""
         return np.asarray(mean_squares(self._off(unknowns, theta))[0])
@@ -97,8 +110,8 @@ class Parts:
         return errors_of(self.held_out, unknowns, theta[None])
 
 
-def _some(loop: JointLoop, numbers: Array) -> JointLoop:
-    return replace(loop, course=loop.course.of(np.asarray(numbers, np.intp)))
+def _some(loop: JointLoop, numbers: Rows) -> JointLoop:
+    return replace(loop, course=loop.course.of(numbers))
 
 
 def bounded_rms(squares: Array) -> float:
@@ -125,13 +138,24 @@ def guess_rms(loops: Sequence[JointLoop]) -> float:
 
 
 def gains(before: Array, after: Array) -> bool:
-    """Tell whether held-out windows (W,) [rad^2] are better off than before."""
-    limit = USUAL**2 * float(np.median(before))
+    """Tell whether held-out windows (W,) [rad^2] are better off than before.
+
+    What counts is the logarithm of the factor by which their mean falls, beside what
+    leaving out one window after the other changes of it. Where one of few windows was
+    off most, the difference of both means would scatter as much as it is.
+    """
+    n = len(before)
+    if n < 2:
+        return False
+    limit = USUAL**2 * float(np.median(before)) + 1e-300
     was = np.minimum(before, limit)
-    gain = was - np.minimum(after, limit)
-    scatter = float(gain.std()) / np.sqrt(max(1, len(gain)))
-    mean = float(gain.mean())
-    return mean > GAIN_SIGMA * scatter and mean > LEAST_GAIN * float(was.mean())
+    now = np.minimum(after, limit) + 1e-12 * limit
+    gain = float(np.log(was.mean() / now.mean()))
+    others = np.log((was.sum() - was) / (now.sum() - now))
+    scatter = float(np.sqrt((n - 1) * np.mean((others - others.mean()) ** 2)))
+    # Few windows do not tell surely how much they scatter.
+    sigma = float(student.ppf(norm.cdf(GAIN_SIGMA), n - 1))
+    return gain > max(sigma * scatter, LEAST_GAIN)
 
 
 def promised_gains(

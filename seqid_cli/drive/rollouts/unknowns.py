@@ -15,7 +15,7 @@ from seqid_cli.typing import Array
 # Values of what is no unknown and has none: everything else is zero.
 DEFAULTS: Mapping[str, float] = {"friction_factor": 1.0, "stribeck_speed": 0.1}
 # Steps by which derivatives are taken: of a logarithm, and of what is linear.
-LOG_STEP = 1e-3
+LOG_STEP = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,26 +10,30 @@ from seqid_cli import drive as drives
 from seqid_cli.drive.friction_table import POSITIONS, SPEEDS, FrictionTable
 from seqid_cli.drive.nominal import nominal_stages
 from seqid_cli.drive.rollouts.course import arm_motion, courses_of
+from seqid_cli.drive.rollouts.errors import bias_of_steps, of_the_prior
 from seqid_cli.drive.rollouts.joints import shared
 from seqid_cli.drive.rollouts.loop import JointLoop
 from seqid_cli.drive.rollouts.solver import (
+    Solved,
     errors_of,
     freed,
     mean_squares,
     solved,
     start_slopes,
 )
+from seqid_cli.drive.rollouts.structures import Structure
 from seqid_cli.drive.rollouts.terms import gains
 from seqid_cli.drive.rollouts.unknowns import Unknown, Unknowns
 from seqid_cli.drive.settings import DriveSettings, WindowSettings
 from seqid_cli.drive.signals import signals_of
 from seqid_cli.errors import ConfigError
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.results.drive import DriveFile
 from seqid_cli.robot.types import Robot
 from tests import Array
-from tests.plants.driven import multisine, simulate_drive
-from tests.unit.drive.test_drive import arm, file_of, number, recorded
+from tests.plants.driven import drawn_arm, multisine, simulate_drive
+from tests.unit.drive.test_drive import arm, file_of, number, recorded, true_values
 
 
 def urdf_robot() -> Robot:
@@ -39,9 +43,13 @@ def urdf_robot() -> Robot:
 
 @cache
 def nominal_loops() -> list[JointLoop]:
+    return loops_of(recorded(with_torque=False))
+
+
+def loops_of(recording: Recording) -> list[JointLoop]:
     robot = urdf_robot()
     model = TorqueModel.from_stages(nominal_stages(robot), robot)
-    log = signals_of(recorded(with_torque=False), model)
+    log = signals_of(recording, model)
     courses = courses_of(
         [arm_motion(log, model)], 0, "interpolated", window_s=1.0, most=100
     )
@@ -163,6 +171,70 @@ def test_what_gains_little_or_by_chance_is_not_kept() -> None:
     assert not gains(spoilt, before)
 
 
+def test_few_windows_show_a_large_gain() -> None:
+    before = np.array([1.0, 0.1, 0.1, 0.1])
+    assert gains(before, 1e-4 * before)
+    assert not gains(1e-4 * before, before)
+
+
+def structure(*, integral: float, judged: float) -> Structure:
+    """Parts of a controller with an integral, by the logarithm of the usual one."""
+    unknowns = Unknowns(
+        searched=[Unknown(name="integral", start=1.0, std=1.0)], fixed=true_numbers()
+    )
+    solution = solved(nominal_loops(), unknowns, np.zeros(1), rounds=1)
+    return Structure(
+        unknowns=unknowns,
+        solution=replace(solution, theta=np.array([integral])),
+        judged=np.full(8, judged),
+    )
+
+
+def test_an_integral_that_is_all_but_zero_is_none() -> None:
+    plain = structure(integral=0.0, judged=1.0)
+    other_offset = structure(integral=-6.0, judged=0.8)
+    assert not other_offset.is_better(plain)
+    assert structure(integral=1.0, judged=0.8).is_better(plain)
+
+
+def without_scale() -> Unknowns:
+    """All that moves the joint where gravity may be compensated to any share."""
+    true = true_numbers()
+    names = (
+        "proportional",
+        "derivative",
+        "velocity_feedforward",
+        "armature",
+        "coulomb",
+    )
+    searched = [Unknown(name=name, start=true[name], std=1.0) for name in names]
+    gravity = Unknown(name="gravity_compensation", start=0.8, std=0.5, positive=False)
+    return Unknowns(searched=[*searched, gravity], fixed=true)
+
+
+@cache
+def plain_loops() -> list[JointLoop]:
+    """The same arm where the controller does not compensate gravity."""
+    plain = arm().with_drive(gravity_compensation=np.zeros(1))
+    moves = multisine(4, 1, 12.0)
+    return loops_of(simulate_drive(plain, moves, 12.0, seed=4, with_torque=False))
+
+
+@cache
+def solved_without_scale() -> Solved:
+    return solved(plain_loops(), without_scale(), without_scale().mean)
+
+
+def test_a_scale_that_nothing_shows_is_the_guess() -> None:
+    assert of_the_prior(without_scale(), solved_without_scale()).all()
+
+
+def test_what_steps_make_of_numbers_leaves_their_ratios() -> None:
+    solution = solved_without_scale()
+    bias = bias_of_steps(plain_loops(), without_scale(), solution)
+    assert np.abs(bias).max() < 0.02
+
+
 def assert_ratios_are_right(file: DriveFile) -> None:
     gain = number(file, "proportional")
     armature = number(file, "armature").value
@@ -219,6 +291,25 @@ def test_an_integral_is_found_by_motion_and_links_alone() -> None:
     assert share == pytest.approx(1.5, rel=0.05)
     replayed = drives.replay([held_out], urdf_robot(), file).joints["joint_1"]
     assert replayed.position.rms < 0.05 * replayed.start_plus_change.rms
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1012, 1016])
+def test_what_is_said_to_be_identified_holds_by_links_alone(seed: int) -> None:
+    """Searches from drawn starts took one for a joint that is lifted, one for heavy."""
+    of = drawn_arm(seed, 1)
+    of = replace(of, robot=replace(of.robot, nominal=of.phi))
+    log, held_out = (
+        simulate_drive(of, multisine(s, 1, 20.0), 20.0, seed=s, with_torque=False)
+        for s in (seed, seed + 1)
+    )
+    file = drives.drive([log], of.robot)
+    true = true_values(of) | {"load_friction": 0.0, "stribeck_speed": 0.0}
+    for each in file.joints["joint_1"].parameters:
+        if each.state == "identified":
+            assert each.low <= true[each.name] <= each.high, each
+    replayed = drives.replay([held_out], of.robot, file).joints["joint_1"]
+    assert replayed.position.rms < 1e-4
 
 
 @pytest.mark.slow

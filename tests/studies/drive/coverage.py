@@ -7,7 +7,8 @@ interval, how large the error is in stated ones, and how far the number is off. 
 that are not there and were not found are counted apart: they hold always. A log of the
 same arm that was not fitted is replayed by the drive and by the true numbers.
 
-Seeds from 500 on are this study's; nothing is tuned on them.
+Seeds from `FIRST_SEED` on are this study's; nothing is tuned on them. Those from 500 to
+511 are spent: what they showed was mended.
 """
 
 import sys
@@ -30,10 +31,11 @@ from seqid_cli.params.results.drive import (
 from seqid_cli.params.schema import ParameterFile
 from tests.plants.driven import DrivenArm, drawn_arm, multisine, simulate_drive
 
-FIRST_SEED = 500
+FIRST_SEED = 600
 SECONDS = 20.0
 JOINTS = (1, 3, 6)  # of one arm after the other
 HELD_OUT_SEED = 50_000  # beside the arm's own
+MOST_RATIO = 1.1  # asked of a replay, of that of the true numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,8 +241,9 @@ def study(name: str, situation: Situation, arms: int) -> Mapping[str, Any]:
     sys.stdout.write(table(name, found))
     sys.stdout.write(
         f"  held-out replay over 1 s: {np.median(ratios):.3f} of that of the true"
-        f" numbers (median), {max(ratios):.3f} at most; {cpu_s / joints:.1f} CPU s a"
-        " joint\n"
+        f" numbers (median), {max(ratios):.3f} at most,"
+        f" {sum(ratio > MOST_RATIO for ratio in ratios)} of {len(ratios)} above"
+        f" {MOST_RATIO}; {cpu_s / joints:.1f} CPU s a joint\n"
     )
     return {"found": found, "ratios": ratios}
 

@@ -383,6 +383,7 @@ def joints_of(
         if name not in file.joints:
             continue
         delay, delayed, changed = _guesses(file, windows, j)
+        typical, worst = _traces(file, results, j)
         torque = None
         if all(result.torque is not None for result in results):
             torque = _error(
@@ -410,7 +411,8 @@ def joints_of(
             start_plus_change=_error(windows, changed),
             without_drive=without,
             baseline_delay_s=delay,
-            worst_window=_worst_trace(file, results, j),
+            typical_window=typical,
+            worst_window=worst,
             step_response=steps.get(name),
         )
     return joints
@@ -456,16 +458,22 @@ def _guesses(
     return best, delayed, changed
 
 
-def _worst_trace(
+def _traces(
     file: DriveFile, results: Sequence[Replayed], joint: int
-) -> ReplayTrace:
-    """Return the positions of a joint in the window with the largest error."""
+) -> tuple[ReplayTrace, ReplayTrace]:
+    """Return the positions of a joint where the error is the median, and the worst."""
     pairs = [
         (window, errors[:, joint])
         for result in results
         for window, errors in zip(result.windows, result.position, strict=True)
     ]
-    window, error = max(pairs, key=lambda pair: float(np.mean(pair[1] ** 2)))
+    pairs.sort(key=lambda pair: float(np.mean(pair[1] ** 2)))
+    typical = _trace(file, joint, *pairs[len(pairs) // 2])
+    return typical, _trace(file, joint, *pairs[-1])
+
+
+def _trace(file: DriveFile, joint: int, window: Window, error: Array) -> ReplayTrace:
+    """Return the positions of a joint in a window of errors (R,) [rad]."""
     every = max(1, len(error) // TRACE_POINTS)
     rows = np.arange(window.start, window.stop)[::every]
     t = window.log.raw.t[rows]

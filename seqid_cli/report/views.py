@@ -198,8 +198,21 @@ def badge(verdicts: Sequence[Verdict]) -> str:
 
 
 def reasons(verdicts: Sequence[Verdict]) -> str:
-    """Return the reasons of verdicts, where they have any."""
-    return "; ".join(verdict.reason for verdict in verdicts if verdict.reason)
+    """Return the reasons of verdicts, each once.
+
+    Where several joints are judged, each reason has the names of its joints before it.
+    """
+    joints_of: dict[str, list[str]] = {}
+    for verdict in verdicts:
+        if verdict.reason:
+            names = joints_of.setdefault(verdict.reason, [])
+            if verdict.joint:
+                names.append(verdict.joint)
+    several = len({verdict.joint for verdict in verdicts if verdict.joint}) > 1
+    return "; ".join(
+        f"{', '.join(names)}: {reason}" if names and several else reason
+        for reason, names in joints_of.items()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

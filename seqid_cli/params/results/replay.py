@@ -42,8 +42,9 @@ class ReplayJoint(Struct, kw_only=True):
     position: `delayed_command` is the command itself at the delay that suits it best,
     `start_plus_change` the first position and the change of that command, and
     `without_drive` the arm driven by the measured torque. Null where there is nothing
-    to compare with. `worst_window` shows the window with the largest error, and
-    `step_response` what a step of the command makes of the simulated joint at rest.
+    to compare with. `typical_window` shows the window with the median error,
+    `worst_window` that with the largest, and `step_response` what a step of the command
+    makes of the simulated joint at rest.
     """
 
     position: ReplayError
@@ -53,6 +54,7 @@ class ReplayJoint(Struct, kw_only=True):
     start_plus_change: ReplayError
     without_drive: ReplayError | None
     baseline_delay_s: float
+    typical_window: ReplayTrace | None = None
     worst_window: ReplayTrace | None = None
     step_response: ReplayTrace | None = None
 

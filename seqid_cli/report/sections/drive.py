@@ -96,10 +96,14 @@ def _of_joint(name: str, joint: JointDrive) -> views.Table:
 
 
 def _replay_group(key: str, path: str, file: ReplayFile) -> views.Group:
-    """Return the group on one replay: each joint in its worst window, and its step."""
+    """Return the group on one replay.
+
+    A row of figures for each joint: a typical window, the worst one, and a step.
+    """
     figures: list[views.Figure | None] = []
     for name, joint in file.joints.items():
         unit = unit_text(file.robot.unit("rad", name))
+        figures.append(_typical_window(name, joint, unit))
         figures.append(_worst_window(name, joint, unit))
         figures.append(_step_response(name, joint, unit))
     return views.Group(
@@ -122,6 +126,20 @@ def _replay_group(key: str, path: str, file: ReplayFile) -> views.Group:
         notes=file.notes,
         unfolded=True,
     )
+
+
+def _typical_window(name: str, joint: ReplayJoint, unit: str) -> views.Figure | None:
+    """Draw command, measured and replayed position in the window of median error."""
+    trace = joint.typical_window
+    if trace is None:
+        return None
+    off = np.array(trace.replayed) - np.array(trace.measured)
+    text = (
+        f"The window of median error: off by {number(float(np.sqrt(np.mean(off**2))))}"
+        f" {unit} RMS, from {number(trace.t[0], 4)} s on."
+    )
+    t = np.array(trace.t) - trace.t[0]
+    return _traces(f"{name}: typical window", t, trace, unit, text, LEGEND)
 
 
 def _worst_window(name: str, joint: ReplayJoint, unit: str) -> views.Figure | None:

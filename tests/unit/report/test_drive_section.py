@@ -17,6 +17,7 @@ from seqid_cli.params.results.replay import (
 from seqid_cli.params.schema import RobotId, Stages, Verdict
 from seqid_cli.report.make import make_report
 from seqid_cli.report.sections.drive import _reached
+from seqid_cli.report.views import reasons
 
 ROBOT = RobotId(name="driven", joints=["elbow"], sha256="0" * 64)
 CREATED = "2026-01-01T00:00:00Z"
@@ -74,6 +75,12 @@ def replay() -> ReplayFile:
     error = ReplayError(
         rms=2e-3, worst=WorstWindow(log="held.parquet", start=3.0, rms=4e-3)
     )
+    window = ReplayTrace(
+        t=t.tolist(),
+        command=np.sin(t + 0.05).tolist(),
+        replayed=(q + 2e-3).tolist(),
+        measured=q.tolist(),
+    )
     joint = ReplayJoint(
         position=error,
         velocity=error,
@@ -82,12 +89,8 @@ def replay() -> ReplayFile:
         start_plus_change=error,
         without_drive=None,
         baseline_delay_s=0.02,
-        worst_window=ReplayTrace(
-            t=t.tolist(),
-            command=np.sin(t + 0.05).tolist(),
-            replayed=(q + 2e-3).tolist(),
-            measured=q.tolist(),
-        ),
+        typical_window=window,
+        worst_window=window,
         step_response=step(np.linspace(-1.0, 1.0, 200)),
     )
     return ReplayFile(
@@ -119,12 +122,28 @@ def test_the_page_has_numbers_positions_and_steps() -> None:
     assert "The law leaves 1.2 % of the torque" in html
     for name in ("command", "measured", "replayed"):
         assert f'data-name="{name}"' in html
+    assert "elbow: typical window" in html
+    assert "The window of median error: off by 0.00200 rad RMS, from 3.000 s on" in html
     assert "elbow: worst window" in html
     assert "elbow: step response" in html
 
 
 def test_a_replay_alone_makes_a_page_as_well() -> None:
     assert "elbow: worst window" in page_of(replay())
+
+
+def test_a_reason_of_several_joints_stands_once() -> None:
+    scale = "only ratios show"
+    told = reasons(
+        [
+            Verdict(good=False, level="usable", reason="elbow, wrist: see there"),
+            Verdict(joint="elbow", good=False, level="usable", reason=scale),
+            Verdict(joint="wrist", good=False, level="usable", reason=scale),
+        ]
+    )
+    assert told == f"elbow, wrist: see there; elbow, wrist: {scale}"
+    alone = Verdict(joint="elbow", good=False, level="usable", reason=scale)
+    assert reasons([alone]) == scale
 
 
 def test_a_step_is_described_by_its_rise() -> None:

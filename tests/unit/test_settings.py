@@ -34,7 +34,7 @@ from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings import Group, entries, overridden, setting
+from seqid_cli.settings import Group, entries, overridden, setting, with_values
 from tests import ROOT
 
 ONE_JOINT = ROOT / "sample_logs" / "one_joint"
@@ -100,6 +100,16 @@ class Counted(Group):
 
     least_count: int = setting(2, unit="logs", reason="a few", low=1, high=9)
     largest_share: float = setting(0.5, unit="of all", reason="some", low=0.0, high=1.0)
+
+
+def test_a_document_brings_its_numbers_back() -> None:
+    """What is no setting any more is left out."""
+    document = {"judging.max_gravity_factor": 3.0, "judging.gone": 1.0}
+    settings = with_values(FrictionSettings(), document)
+    assert settings.judging.max_gravity_factor == 3.0
+    assert [one.name for one in entries(settings) if one.changed] == [
+        "judging.max_gravity_factor"
+    ]
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "3", None, True])

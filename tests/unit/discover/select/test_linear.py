@@ -1,15 +1,18 @@
 """The linear model against densities written out in full."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select import arrow
+from seqid_cli.discover.select import linear as linear_module
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import PriorUpdate
 from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
+from seqid_cli.tiles import tiles
 from tests import Array
 
 
@@ -36,6 +39,10 @@ def drawn_rows() -> Observations:
 
 
 ROWS = drawn_rows()
+# The second block has no rows in the first channel.
+SPARSE = replace(
+    ROWS, block=(np.where(ROWS.block[0] == 1, 2, ROWS.block[0]), ROWS.block[1])
+)
 WEIGHT = [
     np.random.default_rng(4 + c).uniform(0.5, 2.0, m) for c, m in enumerate(LENGTHS)
 ]
@@ -147,7 +154,10 @@ def test_evidence_is_the_ratio_of_two_densities() -> None:
     np.testing.assert_allclose(gained.covariance, with_it.covariance[at, at], rtol=1e-6)
 
 
-def test_the_jackknife_is_the_spread_of_fits_without_a_block() -> None:
+@pytest.mark.parametrize("rows", [ROWS, SPARSE], ids=["all", "a block in one channel"])
+def test_the_jackknife_is_the_spread_of_fits_without_a_block(
+    rows: Observations,
+) -> None:
     parts = [*BASE, TERM]
     X = np.vstack(
         [
@@ -155,10 +165,10 @@ def test_the_jackknife_is_the_spread_of_fits_without_a_block() -> None:
             for c, m in enumerate(LENGTHS)
         ]
     )
-    block = np.concatenate(ROWS.block)
-    y = np.concatenate(ROWS.y)
+    block = np.concatenate(rows.block)
+    y = np.concatenate(rows.y)
     weight = np.concatenate(WEIGHT)
-    model = linear(parts)
+    model = LinearModel(rows, parts, WEIGHT)
     without = []
     for left_out in range(BLOCKS):
         w = weight * (block != left_out)
@@ -230,13 +240,19 @@ LOG_OF_BLOCK = np.array([0, 0, 1, 1])
 OWN_SIZE = 2
 
 
-def models_of_two_logs() -> tuple[LinearModel, LinearModel]:
-    """Return one model twice: logs have columns of their own, or as any others."""
+def models_of_two_logs(
+    channels: tuple[int, ...] = (0, 1),
+) -> tuple[LinearModel, LinearModel]:
+    """Return one model twice: logs have columns of their own, or as any others.
+
+    They have them in some channels.
+    """
     rows = replace(ROWS, log_of_block=LOG_OF_BLOCK)
     precision = np.diag([0.6, 2.5])
     of_logs = []
     as_others = []
-    for channel, length in enumerate(LENGTHS):
+    for channel in channels:
+        length = LENGTHS[channel]
         own = np.random.default_rng(7 + channel).standard_normal((length, OWN_SIZE))
         of_logs.append(LogColumns(channel=channel, columns=own, precision=precision))
         log = LOG_OF_BLOCK[rows.block[channel]]
@@ -250,13 +266,17 @@ def models_of_two_logs() -> tuple[LinearModel, LinearModel]:
     )
 
 
-def test_what_each_log_has_for_itself_costs_no_parameters() -> None:
+@pytest.mark.parametrize("channels", [(0, 1), (0,), (1,)])
+def test_what_each_log_has_for_itself_costs_no_parameters(
+    channels: tuple[int, ...],
+) -> None:
     """Eliminated, it changes neither what is left out nor what a term is worth."""
-    model, written_out = models_of_two_logs()
+    model, written_out = models_of_two_logs(channels)
     size = sum(part.size for part in (*BASE, TERM))
     assert model.size == size < written_out.size
 
     other = ColumnGroup(columns=columns(9, 3), precision=np.diag([0.4, 1.0, 2.0]))
+    last = ColumnGroup(columns={1: columns(8, 2)[1]}, precision=np.diag([0.9, 0.2]))
     for of_model in (
         lambda x: x.theta[:size],
         lambda x: x.covariance[:size, :size],
@@ -269,11 +289,29 @@ def test_what_each_log_has_for_itself_costs_no_parameters() -> None:
         lambda x: x.varied(TERM),
         lambda x: x.fits([other, TERM])[0].log_bayes_factor,
         lambda x: x.fits([other])[0].covariance,
+        lambda x: x.fits([last])[0].log_bayes_factor,
+        lambda x: x.scores([last])[0].block_gains,
         lambda x: x.scores([other])[0].block_gains,
         lambda x: x.scores([other])[0].file_gain,
         lambda x: x.again(TERM)[1].block_gains,
     ):
         np.testing.assert_allclose(of_model(model), of_model(written_out), rtol=1e-7)
+
+
+@pytest.mark.parametrize("channels", [(), (0, 1)], ids=["shared", "own columns"])
+def test_a_long_log_is_added_up_in_parts(
+    monkeypatch: pytest.MonkeyPatch, channels: tuple[int, ...]
+) -> None:
+    model, _ = models_of_two_logs(channels)
+    other = ColumnGroup(columns=columns(9, 3), precision=np.diag([0.4, 1.0, 2.0]))
+    fit = model.fits([other])[0]
+    score = model.scores([other])[0]
+    monkeypatch.setattr(linear_module, "tiles", partial(tiles, size=5))
+    in_parts = model.fits([other])[0]
+    np.testing.assert_allclose(in_parts.coefficients, fit.coefficients, rtol=1e-9)
+    np.testing.assert_allclose(in_parts.covariance, fit.covariance, rtol=1e-9)
+    gains = model.scores([other])[0].block_gains
+    np.testing.assert_allclose(gains, score.block_gains, rtol=1e-9)
 
 
 def test_a_whole_log_is_predicted_by_the_others() -> None:

@@ -8,6 +8,7 @@ from seqid_cli.identify.regression.least_squares import (
     Accumulator,
     Prior,
     solve,
+    triangular,
 )
 from seqid_cli.identify.regression.least_squares import whitened as rows_of
 from tests import Array
@@ -151,6 +152,35 @@ def test_noise_that_comes_four_times_counts_as_four_times_the_noise() -> None:
     often = accumulated(np.repeat(H, 4, axis=0), np.repeat(y, 4), rows=160)
     np.testing.assert_allclose(once, 1.0, rtol=0.3)
     np.testing.assert_allclose(solve([often]).designs, 4.0 * once, rtol=1e-2)
+
+
+def test_a_factor_has_the_products_of_its_rows_and_no_negative_diagonal() -> None:
+    rows = np.random.default_rng(18).standard_normal((40, 5))
+    rows[:, 2] = 0.0
+    R = triangular(rows)
+    np.testing.assert_allclose(R.T @ R, rows.T @ rows, atol=1e-12)
+    np.testing.assert_array_equal(R, np.triu(R))
+    assert (R.diagonal() >= 0.0).all()
+
+
+def test_nuisances_are_determined_by_their_prior_alone() -> None:
+    """Among them one that is hardly told apart from a parameter by the rows."""
+    rng = np.random.default_rng(19)
+    H = rng.standard_normal((480, 5))
+    H[:, 3] = H[:, 0] + 1e-5 * rng.standard_normal(480)
+    y = H @ THETA[:5] + 0.1 * rng.standard_normal(480)
+    A = np.zeros((2, 5))
+    A[:, 3:] = np.diag([20.0, 5.0])
+    prior = Prior(A=A, b=A @ THETA[:5] + rng.standard_normal(2))
+    got = solve([accumulated(H, y)], prior=prior, iterations=20, nuisances=slice(3, 5))
+    stacked = np.vstack(
+        [np.column_stack([H, y]) / got.sigma, np.column_stack([A, prior.b])]
+    )
+    X, z = stacked[:, :-1], stacked[:, -1]
+    np.testing.assert_allclose(got.theta, np.linalg.lstsq(X, z)[0], rtol=1e-6)
+    np.testing.assert_allclose(got.bread, np.linalg.inv(X.T @ X), rtol=1e-6, atol=1e-9)
+    assert got.determined.all()
+    assert got.rank == 3
 
 
 def test_a_parameter_that_is_held_leaves_the_others_to_be_solved_for() -> None:

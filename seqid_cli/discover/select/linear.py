@@ -485,15 +485,17 @@ class LinearModel:
         b = self.sums[1].copy()
         eliminated: dict[int, _Eliminated] = {}
         for channel, at in enumerate(rows):
-            if at.stop == at.start:
-                continue
             columns = self._columns[channel]
+            own = self._own[channel]
+            # Above a cut-off a base has no columns.
+            is_empty = not len(columns.index) and own is None
+            if is_empty or at.stop == at.start:
+                continue
             base, own_columns = self._scaled(channel, at)
             y = self._scaled_y[channel][at]
             change = -(base.T @ base)
             b[columns.index] -= base.T @ y
 
-            own = self._own[channel]
             if own is not None and columns.of_log is not None:
                 products = own.products[log] - self._own_products(base, own_columns, y)
                 others = _OwnColumns.of(products[None], columns.of_log.precision)

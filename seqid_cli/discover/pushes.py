@@ -14,7 +14,7 @@ from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.discover.survey.events import (
     Interval,
     find_events,
-    joined_where_they_overlap,
+    joined_pieces,
     with_edges,
 )
 from seqid_cli.discover.survey.rows import Rows
@@ -61,11 +61,12 @@ def events_of(
     ]
     events: list[Interval] = []
     sigma = np.asarray(model.noise.sigma[: rows.n])
-    standing_out = joined_where_they_overlap(
-        [
-            with_edges(event, rows, left_by_scene[event.scene], sigma)
-            for event in find_events(rows, scaled, settings.events)
-        ]
+    pieces = [
+        with_edges(event, rows, left_by_scene[event.scene], sigma)
+        for event in find_events(rows, scaled, settings.events)
+    ]
+    standing_out = joined_pieces(
+        pieces, rows.scenes, left_by_scene, settings.events.longest
     )
     for event in standing_out:
         scene = rows.scenes[event.scene]

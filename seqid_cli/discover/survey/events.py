@@ -39,7 +39,7 @@ from seqid_cli.discover.survey.stretches import (
 )
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.robust import PER_MEDIAN
+from seqid_cli.robust import PER_MEDIAN, rms
 from seqid_cli.typing import Array, Index, Mask
 
 # ---- windows
@@ -395,28 +395,69 @@ def with_edges(event: Interval, rows: Rows, residual: Array, sigma: Array) -> In
     return replace(event, start=float(t[0]), end=float(t[-1]))
 
 
-def joined_where_they_overlap(events: Sequence[Interval]) -> list[Interval]:
-    """Return events of which those that overlap are one."""
+def joined_pieces(
+    events: Sequence[Interval],
+    scenes: Sequence[Scene],
+    residuals: Sequence[Array],
+    longest_s: float,
+) -> list[Interval]:
+    """Return events of which the pieces of one push are one.
+
+    Pieces overlap, or about as much is left between them: there few samples count, or
+    the joints rest for a while.
+
+    Parameters
+    ----------
+    events : sequence of Interval
+        The events.
+    scenes : sequence of Scene
+        The data sets.
+    residuals : sequence of (N, n) arrays
+        What is left, by data set [N m; N where prismatic].
+    longest_s : float
+        Of a push that is joined of pieces.
+    """
     joined: list[Interval] = []
     for event in sorted(events, key=lambda each: (each.scene, each.start)):
+        before = joined[-1] if joined else None
         if (
-            not joined
-            or joined[-1].scene != event.scene
-            or event.start > joined[-1].end
+            before is None
+            or before.scene != event.scene
+            or event.end - before.start > longest_s
+            or not _is_one_push(
+                before, event, scenes[event.scene], residuals[event.scene]
+            )
         ):
             joined.append(event)
             continue
-        before = joined.pop()
-        joined.append(
-            Interval(
-                scene=event.scene,
-                start=before.start,
-                end=max(before.end, event.end),
-                joints=tuple(sorted({*before.joints, *event.joints})),
-                score=max(before.score, event.score),
-            )
+        joined[-1] = Interval(
+            scene=event.scene,
+            start=before.start,
+            end=max(before.end, event.end),
+            joints=tuple(sorted({*before.joints, *event.joints})),
+            score=max(before.score, event.score),
         )
     return joined
+
+
+def _is_one_push(
+    before: Interval, event: Interval, scene: Scene, residual: Array
+) -> bool:
+    """Return whether two events of a log overlap, or as much is left between them."""
+    if event.start <= before.end:
+        return True
+    t = scene.motion.t - scene.motion.t[0]
+    between = (t > before.end) & (t < event.start)
+    for joint in {*before.joints} & {*event.joints}:
+        slides = scene.slides[:, joint]
+        least = EDGE_SHARE * max(
+            rms(residual[each.inside(scene) & slides, joint])
+            for each in (before, event)
+        )
+        left_between = residual[between & slides, joint]
+        if len(left_between) and rms(left_between) >= least:
+            return True
+    return False
 
 
 def find_events(

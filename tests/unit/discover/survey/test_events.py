@@ -16,7 +16,7 @@ from seqid_cli.discover.survey.events import (
     Interval,
     Windows,
     find_events,
-    joined_where_they_overlap,
+    joined_pieces,
     scores,
     with_edges,
 )
@@ -288,12 +288,30 @@ def test_an_event_that_its_joints_do_not_show_keeps_its_edges(model: Model) -> N
     assert with_edges(PUSH, rows, residual, np.full(rows.n, 0.1)) == PUSH
 
 
-def test_pieces_that_reach_into_each_other_are_one_push() -> None:
+@pytest.mark.parametrize(("between", "joins"), [(0.1, False), (0.9, True)])
+def test_pieces_of_one_push_are_one(model: Model, between: float, joins: bool) -> None:
+    """`between` is the share of the pieces' size that is left between them."""
+    rows = rows_at_few_speeds(model, 1.0)
+    residual = np.ones_like(rows.scenes[0].motion.q)
+    t = rows.scenes[0].motion.t
+    residual[(t > 5.3) & (t < 5.8)] = between
+    pieces = [PUSH, replace(PUSH, start=5.8, end=6.0)]
+    whole = replace(PUSH, end=6.0)
+    joined = joined_pieces(pieces, rows.scenes, [residual, residual], 20.0)
+    assert joined == ([whole] if joins else pieces)
+    assert joined_pieces(pieces, rows.scenes, [residual, residual], 0.5) == pieces
+
+
+def test_pieces_that_reach_into_each_other_are_one_push(model: Model) -> None:
+    scenes = model.ground.stage.scenes
+    residuals = [np.ones_like(scene.motion.q) for scene in scenes]
+    residuals[0][(scenes[0].motion.t > 6.0) & (scenes[0].motion.t < 7.0)] = 0.0
     piece = replace(PUSH, start=4.0, end=6.0, joints=(0,), score=20.0)
     later = replace(PUSH, start=7.0, end=8.0)
     elsewhere = replace(PUSH, scene=1)
     whole = replace(PUSH, start=4.0, end=6.0, joints=(0, 1), score=20.0)
-    joined = joined_where_they_overlap([later, PUSH, elsewhere, piece])
+    pieces = [later, PUSH, elsewhere, piece]
+    joined = joined_pieces(pieces, scenes, residuals, 20.0)
     assert joined == [whole, later, elsewhere]
 
 

@@ -410,7 +410,7 @@ def joined_pieces(
     ----------
     events : sequence of Interval
         The events.
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         The data sets.
     residuals : sequence of (N, n) arrays
         What is left, by data set [N m; N where prismatic].

@@ -122,19 +122,19 @@ def is_in_reach_of_others(
     elsewhere: list[Mask] = []
     for number, scene in enumerate(scenes):
         mask = np.ones(len(scene.motion.t), dtype=bool)
-        for other in standing_out:
-            if other.scene == number:
-                mask &= ~other.inside(scene)
+        for rival in standing_out:
+            if rival.scene == number:
+                mask &= ~rival.inside(scene)
         elsewhere.append(mask)
     if not any(mask.any() for mask in elsewhere):
         return True
 
-    own = scenes[event.scene]
-    inside = event.inside(own)
+    event_scene = scenes[event.scene]
+    inside = event.inside(event_scene)
     squares_of_all: list[Array] = []
     squares_in_reach: list[Array] = []
     for joint in event.joints:
-        slides = own.slides[inside, joint]
+        slides = event_scene.slides[inside, joint]
         squares = residual[inside, joint] ** 2
         is_reached = slides.copy()
         for quantity in ("q", "dq"):
@@ -147,13 +147,13 @@ def is_in_reach_of_others(
             low = float(at_other_times.min())
             high = float(at_other_times.max())
             room = margin * (high - low)
-            values = getattr(own.motion, quantity)[inside, joint]
+            values = getattr(event_scene.motion, quantity)[inside, joint]
             is_reached &= (values >= low - room) & (values <= high + room)
         squares_of_all.append(squares[slides])
         squares_in_reach.append(squares[is_reached])
     of_all = np.concatenate(squares_of_all)
     in_reach = np.concatenate(squares_in_reach)
-    if len(in_reach) < min(KNOWN_S * own.motion.rate_hz, least * len(of_all)):
+    if len(in_reach) < min(KNOWN_S * event_scene.motion.rate_hz, least * len(of_all)):
         return False
     return bool(np.mean(in_reach) >= least * np.mean(of_all))
 

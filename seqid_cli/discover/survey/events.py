@@ -381,12 +381,13 @@ def with_edges(event: Interval, rows: Rows, residual: Array, sigma: Array) -> In
 
     squares = np.where(slides, residual[:, joints] ** 2, np.nan)
     inside = event.inside(scene)
-    seen = np.isfinite(squares[inside]).any(axis=0)
-    if not seen.any():
+    is_shown = np.isfinite(squares[inside]).any(axis=0)
+    if not is_shown.any():
         return event
-    squares = squares[:, seen]
+
+    squares = squares[:, is_shown]
     size = np.nanmean(squares[inside], axis=0)
-    least = np.maximum(EDGE_SHARE**2 * size, sigma[joints][seen] ** 2)
+    least = np.maximum(EDGE_SHARE**2 * size, sigma[joints][is_shown] ** 2)
     near = np.flatnonzero(event.inside(scene, EDGE_S))
     part = largest_part(squares[near], least, inside[near])
     if part is None:
@@ -419,40 +420,41 @@ def joined_pieces(
     """
     joined: list[Interval] = []
     for event in sorted(events, key=lambda each: (each.scene, each.start)):
-        before = joined[-1] if joined else None
+        earlier = joined[-1] if joined else None
         if (
-            before is None
-            or before.scene != event.scene
-            or event.end - before.start > longest_s
+            earlier is None
+            or earlier.scene != event.scene
+            or event.end - earlier.start > longest_s
             or not _is_one_push(
-                before, event, scenes[event.scene], residuals[event.scene]
+                earlier, event, scenes[event.scene], residuals[event.scene]
             )
         ):
             joined.append(event)
             continue
+
         joined[-1] = Interval(
             scene=event.scene,
-            start=before.start,
-            end=max(before.end, event.end),
-            joints=tuple(sorted({*before.joints, *event.joints})),
-            score=max(before.score, event.score),
+            start=earlier.start,
+            end=max(earlier.end, event.end),
+            joints=tuple(sorted({*earlier.joints, *event.joints})),
+            score=max(earlier.score, event.score),
         )
     return joined
 
 
 def _is_one_push(
-    before: Interval, event: Interval, scene: Scene, residual: Array
+    earlier: Interval, event: Interval, scene: Scene, residual: Array
 ) -> bool:
     """Return whether two events of a log overlap, or as much is left between them."""
-    if event.start <= before.end:
+    if event.start <= earlier.end:
         return True
     t = scene.motion.t - scene.motion.t[0]
-    between = (t > before.end) & (t < event.start)
-    for joint in {*before.joints} & {*event.joints}:
+    between = (t > earlier.end) & (t < event.start)
+    for joint in {*earlier.joints} & {*event.joints}:
         slides = scene.slides[:, joint]
         least = EDGE_SHARE * max(
             rms(residual[each.inside(scene) & slides, joint])
-            for each in (before, event)
+            for each in (earlier, event)
         )
         left_between = residual[between & slides, joint]
         if len(left_between) and rms(left_between) >= least:

@@ -48,9 +48,11 @@ def bias_of_steps(
     would spoil ratios that are known well.
     """
     std = unknowns.std
-    told, directions = np.linalg.eigh(std[:, None] * _information(solution) * std)
+    information, directions = np.linalg.eigh(
+        std[:, None] * _information(solution) * std
+    )
     pull = directions.T @ (std * _pull_of_steps(loops, unknowns, solution))
-    moved = np.where(told > 1.0, pull / (told + 1.0), 0.0)
+    moved = np.where(information > 1.0, pull / (information + 1.0), 0.0)
     return np.asarray(TO_NO_STEPS * std * (directions @ moved))
 
 

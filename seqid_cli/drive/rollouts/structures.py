@@ -133,10 +133,10 @@ def _structures(parts: Parts, unknowns: Unknowns) -> Iterator[Structure]:
     course = parts.fitted[0].course
     few = parts.fewer(FEW_WINDOWS)
     starts = [_start_by_rows(course, _wider(unknowns, added)) for added in ADDED]
-    told = [start for start in starts if start is not None]
-    least = min((start.left for start in told), default=0.0)
-    for start in told:
-        if start.left > LEFT_BY_ROWS * least:
+    known_starts = [start for start in starts if start is not None]
+    least = min((start.unexplained for start in known_starts), default=0.0)
+    for start in known_starts:
+        if start.unexplained > LEFT_BY_ROWS * least:
             continue
         solution = solved(few.fitted, start.unknowns, start.theta)
         yield Structure(
@@ -169,13 +169,13 @@ class _Start:
     unknowns : Unknowns
     theta : (p,) array
         As it is searched.
-    left : float
+    unexplained : float
         What rows leave, as a share of what the gain asks for.
     """
 
     unknowns: Unknowns
     theta: Array
-    left: float
+    unexplained: float
 
 
 def _start_by_rows(course: JointCourse, unknowns: Unknowns) -> _Start | None:
@@ -191,30 +191,32 @@ def _start_by_rows(course: JointCourse, unknowns: Unknowns) -> _Start | None:
     )
     if GRAVITY in names and ARMATURE in names:
         names.remove(ARMATURE)
-        found = _with_rotor(law, names, by_name[ARMATURE].start)
+        by_rows = _with_rotor(law, names, by_name[ARMATURE].start)
     else:
-        found = _by_rows(law, names)
-    if found is None:
+        by_rows = _by_rows(law, names)
+    if by_rows is None:
         return None
+
     theta = unknowns.mean
     for k, unknown in enumerate(unknowns.searched):
-        value = found.values.get(unknown.name, unknown.start)
+        value = by_rows.values.get(unknown.name, unknown.start)
         if unknown.positive:
             value = np.log(max(value, LEAST_START * unknown.start))
         theta[k] = value
-    return _Start(unknowns=unknowns, theta=theta, left=found.left)
+    return _Start(unknowns=unknowns, theta=theta, unexplained=by_rows.unexplained)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Rows:
     """What rows tell: numbers by name, delays, and what is left.
 
-    `left` is a share of what the gain asks for by the error, which knows no scale.
+    `unexplained` is a share of what the gain asks for by the error, which knows no
+    scale.
     """
 
     values: Mapping[str, float]
     delays: Delays
-    left: float
+    unexplained: float
 
 
 def _by_rows(
@@ -233,9 +235,11 @@ def _by_rows(
     if INTEGRAL not in names:
         mean = float(equations.means[:-1] @ solution.theta)
         values["offset"] = float(equations.means[-1]) - mean
-    asked = values[PROPORTIONAL] * equations.X[:, names.index(PROPORTIONAL)]
-    left = float(np.sqrt(solution.squares / max(np.mean(asked**2), 1e-300)))
-    return _Rows(values=values, delays=solution.delays, left=left)
+    of_gain = values[PROPORTIONAL] * equations.X[:, names.index(PROPORTIONAL)]
+    share = solution.squares / max(np.mean(of_gain**2), 1e-300)
+    return _Rows(
+        values=values, delays=solution.delays, unexplained=float(np.sqrt(share))
+    )
 
 
 def _with_rotor(law: JointLaw, names: Sequence[str], usual: float) -> _Rows | None:
@@ -250,9 +254,11 @@ def _with_rotor(law: JointLaw, names: Sequence[str], usual: float) -> _Rows | No
     best_rotor = usual
     for times in ROTORS:
         rotor = times * usual
-        found = _by_rows(_added_rotor(law, rotor), names, best.delays)
-        if found is not None and found.left < CLEARLY * best.left:
-            best = found
+        by_rows = _by_rows(_added_rotor(law, rotor), names, best.delays)
+        if by_rows is None:
+            continue
+        if by_rows.unexplained < CLEARLY * best.unexplained:
+            best = by_rows
             best_rotor = rotor
     return replace(best, values={**best.values, ARMATURE: best_rotor})
 

@@ -148,11 +148,15 @@ def gains(before: Array, after: Array) -> bool:
     if n < 2:
         return False
     limit = USUAL**2 * float(np.median(before)) + 1e-300
-    was = np.minimum(before, limit)
-    now = np.minimum(after, limit) + 1e-12 * limit
-    gain = float(np.log(was.mean() / now.mean()))
-    others = np.log((was.sum() - was) / (now.sum() - now))
-    scatter = float(np.sqrt((n - 1) * np.mean((others - others.mean()) ** 2)))
+    bounded_before = np.minimum(before, limit)
+    bounded_after = np.minimum(after, limit) + 1e-12 * limit
+    gain = float(np.log(bounded_before.mean() / bounded_after.mean()))
+
+    sums_before = bounded_before.sum() - bounded_before
+    sums_after = bounded_after.sum() - bounded_after
+    without_each = np.log(sums_before / sums_after)
+    deviation = without_each - without_each.mean()
+    scatter = float(np.sqrt((n - 1) * np.mean(deviation**2)))
     # Few windows do not tell surely how much they scatter.
     sigma = float(student.ppf(norm.cdf(GAIN_SIGMA), n - 1))
     return gain > max(sigma * scatter, LEAST_GAIN)

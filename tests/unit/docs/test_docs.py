@@ -36,8 +36,17 @@ from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages whose commands `make test` runs: the way of a user who has read no more.
 FIRST = ("README.md", "docs/tutorial/first_model.md")
-RUN = [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
+SO101 = "docs/how-to/so101.md"
 FULL = bool(os.environ.get("SEQID_DOCS"))
+LONG = pytest.mark.skipif(not FULL, reason="takes more than a minute: make docs-test")
+RUN = [
+    name
+    if name in FIRST
+    else pytest.param(
+        name, marks=[pytest.mark.slow, LONG] if name == SO101 else pytest.mark.slow
+    )
+    for name in NAMES
+]
 ABOUT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = ABOUT["project"]
 SIX = SAMPLES / "six_joint"
@@ -58,7 +67,6 @@ PREPARED: dict[str, dict[str, Path]] = {
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
     },
 }
-SO101 = "docs/how-to/so101.md"
 STRANGERS = ("docs/how-to/from_files.md", "docs/how-to/robots.md")
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {

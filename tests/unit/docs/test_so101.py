@@ -11,13 +11,13 @@ from seqid_cli.commands.app import run
 from tests import ROOT
 from tests.plants import so101
 from tests.unit.docs.markdown import blocks, steps
-from tests.unit.docs.test_docs import FULL
+from tests.unit.docs.test_docs import LONG
 
 PAGE = ROOT / "docs" / "how-to" / "so101.md"
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not FULL, reason="takes more than a minute: make docs-test")
+@LONG
 @pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 def test_the_page_leads_from_a_data_set_to_mujoco(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -180,7 +180,7 @@ def footer(data: bytearray, rng: np.random.Generator) -> None:
         for _ in range(int(rng.integers(1, 4))):
             _change(tree, rng)
         content = encoded(tree)
-    except (LookupError, ValueError, TypeError, struct.error):
+    except (AttributeError, LookupError, ValueError, TypeError, struct.error):
         return  # other damages have made it unreadable
     data[start:] = content + _TAIL.pack(len(content), b"PAR1")
 
@@ -201,7 +201,7 @@ def page(data: bytearray, rng: np.random.Generator) -> None:
         header, end = decoded(bytes(data[at : at + _LONGEST_PAGE_HEADER]))
         _change(header, rng)
         content = encoded(header)
-    except (LookupError, ValueError, TypeError, struct.error):
+    except (AttributeError, LookupError, ValueError, TypeError, struct.error):
         return
     if len(content) == end and rng.random() < 0.7:
         data[at : at + end] = content

@@ -6,6 +6,7 @@ folders or one above its data files.
 """
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -232,10 +233,14 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     """
     try:
         with being_read(path), opened_table(path) as file:
-            fields = _flattened(file.schema_arrow.empty_table()).schema
+            # Every call for it makes the whole schema anew.
+            schema = file.schema_arrow
+            fields = _flattened(schema.empty_table()).schema
+            n_of_name = Counter(schema.names)
             lists: dict[str, int] = {}
             for each in fields:
-                length = _list_length(file, each.name, each.type)
+                is_alone = n_of_name[each.name.split(".")[0]] <= 1
+                length = _list_length(file, each.name, each.type, is_alone=is_alone)
                 if length:
                     lists[each.name] = length
             is_lerobot = LEROBOT_STATE in lists
@@ -362,8 +367,13 @@ def _flattened(table: pa.Table) -> pa.Table:
     return table
 
 
-def _list_length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
-    """Return the length of the first list of a column, 0 where none can hold joints."""
+def _list_length(
+    file: pq.ParquetFile, name: str, kind: pa.DataType, *, is_alone: bool
+) -> int:
+    """Return the length of the first list of a column, 0 where none can hold joints.
+
+    Nor can two columns of one name, which are not read: `is_alone` is false of these.
+    """
     list_kinds = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
     is_list = any(is_kind(kind) for is_kind in list_kinds)
     if not is_list or not is_number(kind.value_type):
@@ -371,8 +381,7 @@ def _list_length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     length = 0
     if pa.types.is_fixed_size_list(kind):
         length = int(kind.list_size)
-    # Not for two columns of one name.
-    elif file.schema_arrow.names.count(name.split(".")[0]) <= 1:
+    elif is_alone:
         length = _first_length(file, name)
     return length if length <= LONGEST_LIST else 0
 

@@ -26,10 +26,7 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.discover.survey.events import (
-    Interval,
-    stretches_of,
-)
+from seqid_cli.discover.survey.events import Interval, stretches_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.discover.survey.stretches import Stretch
 from seqid_cli.effects.scene import Scene

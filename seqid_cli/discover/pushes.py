@@ -55,12 +55,11 @@ def events_of(
     rows = rows or model.ground.stage.rows
     left_by_scene = model.left()
     left_out = _not_fitted(model, rows, left_by_scene)
-    scaled = [
-        residual / sigma
-        for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
-    ]
-    events: list[Interval] = []
     sigma = np.asarray(model.noise.sigma[: rows.n])
+    scaled = [
+        residual / sigma_of_joint
+        for residual, sigma_of_joint in zip(left_out, sigma, strict=True)
+    ]
     pieces = [
         with_edges(event, rows, left_by_scene[event.scene], sigma)
         for event in find_events(rows, scaled, settings.events)
@@ -68,6 +67,7 @@ def events_of(
     standing_out = joined_pieces(
         pieces, rows.scenes, left_by_scene, settings.events.longest
     )
+    events: list[Interval] = []
     for event in standing_out:
         scene = rows.scenes[event.scene]
         inside = event.inside(scene)

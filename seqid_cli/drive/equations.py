@@ -29,6 +29,7 @@ from seqid_cli.drive.bends import delayed_bends
 from seqid_cli.drive.signals import DriveSignals, delayed_command, delayed_sum, shifted
 from seqid_cli.logs.raw import Rows
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array, Mask
 
 PROPORTIONAL = "proportional"
@@ -221,8 +222,7 @@ def telling_rows(log: DriveSignals, joint: int) -> Mask:
     if not log.measured:
         # At rest friction is anything up to its limit.
         speed = np.abs(log.dq[:, joint])
-        rms = float(np.sqrt(np.mean(speed[used] ** 2))) if used.any() else 0.0
-        used &= log.moving[:, joint] & (speed > SLOW * rms)
+        used &= log.moving[:, joint] & (speed > SLOW * rms(speed[used]))
     return used
 
 

@@ -89,10 +89,9 @@ def select(
         free.run()
         best = _best_of_all([held, free])
     if best.model.hold.doubt(ground.n) and best.keys != held.keys:
-        again_held = Selection(Model(ground, HELD), catalogue)
-        again_held.model.terms = list(best.model.terms)
+        held_model = best.model.held_otherwise(HELD, best.model.terms)
+        again_held = Selection(held_model, catalogue)
         again_held.tied = dict(best.tied)
-        again_held.model.settle()
         again_held.finish()
         best = _best_of_all([again_held, held, free])
     return best.merged()

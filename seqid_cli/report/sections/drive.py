@@ -9,6 +9,7 @@ from seqid_cli.report import views
 from seqid_cli.report.chart import figure, padded, small_panel
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.words import number, percent, plural, short_path, unit_text
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 # What a line is, from the back to the front.
@@ -135,11 +136,10 @@ def _typical_window(name: str, joint: ReplayJoint, unit: str) -> views.Figure | 
         return None
     off = np.array(trace.replayed) - np.array(trace.measured)
     text = (
-        f"The window of median error: off by {number(float(np.sqrt(np.mean(off**2))))}"
-        f" {unit} RMS, from {number(trace.t[0], 4)} s on."
+        f"The window of median error: off by {number(rms(off))} {unit} RMS, from"
+        f" {number(trace.t[0], 4)} s on."
     )
-    t = np.array(trace.t) - trace.t[0]
-    return _traces(f"{name}: typical window", t, trace, unit, text, LEGEND)
+    return _window(f"{name}: typical window", trace, unit, text)
 
 
 def _worst_window(name: str, joint: ReplayJoint, unit: str) -> views.Figure | None:
@@ -152,8 +152,13 @@ def _worst_window(name: str, joint: ReplayJoint, unit: str) -> views.Figure | No
         f"The replayed position is off by {number(worst.rms)} {unit} RMS, in"
         f" {short_path(worst.log)} from {number(worst.start, 4)} s on."
     )
+    return _window(f"{name}: worst window", trace, unit, text)
+
+
+def _window(title: str, trace: ReplayTrace, unit: str, text: str) -> views.Figure:
+    """Draw all positions of a window over the time since its begin."""
     t = np.array(trace.t) - trace.t[0]
-    return _traces(f"{name}: worst window", t, trace, unit, text, LEGEND)
+    return _traces(title, t, trace, unit, text, LEGEND)
 
 
 def _step_response(name: str, joint: ReplayJoint, unit: str) -> views.Figure | None:

@@ -1,14 +1,33 @@
 """Spectra and correlations of signals, as `scipy.signal` has them.
 
 That package imports nearly all of SciPy: half a second of CPU time, more than a command
-needs for a log of some minutes. What is used of it takes a few lines.
+needs for a log of some minutes. What is used of it takes a few lines. Transforms are
+those of `numpy.fft`, which are those of `scipy.fft` to the last bit.
 """
 
 import numpy as np
+from numpy.fft import irfft, rfft
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.typing import Array
+
+
+def fast_length(least: int) -> int:
+    """Return the smallest length from `least` on whose transform is fast.
+
+    That is a product of twos, threes and fives.
+    """
+    best = 1 << max(least - 1, 0).bit_length()
+    fives = 1
+    while fives < best:
+        threes = fives
+        while threes < best:
+            # As many twos as it takes.
+            missing = -(-least // threes)
+            best = min(best, threes << max(missing - 1, 0).bit_length())
+            threes *= 3
+        fives *= 5
+    return best
 
 
 def hann(length: int) -> Array:
@@ -104,7 +123,7 @@ def correlated(a: Array, b: Array) -> Array:
         (N + M - 1,), sums of a[i + k] b[i] for the shifts k from 1 - M on.
     """
     count = len(a) + len(b) - 1
-    size = next_fast_len(count, real=True)
+    size = fast_length(count)
     product = rfft(np.asarray(a, dtype=np.float64), size) * rfft(b[::-1], size)
     return np.asarray(irfft(product, size)[:count])
 

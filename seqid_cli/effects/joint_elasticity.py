@@ -32,7 +32,6 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
-from scipy.linalg.blas import dtbsv
 
 from seqid_cli.effects.declared import Twist
 from seqid_cli.effects.effect import (
@@ -290,6 +289,8 @@ def twist(scene: Scene, joint: int, gear: Twist) -> Array:
 
 def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Array:
     """Solve mass z'' + damping z' + z = -load; time steps form a triangular band."""
+    from scipy.linalg.blas import dtbsv
+
     inertial = mass[1:-1] * rate_hz**2
     viscous = 0.5 * damping[1:-1] * rate_hz
 

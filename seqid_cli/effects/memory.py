@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
-from scipy.ndimage import shift
 
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
@@ -244,6 +242,8 @@ def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
     """
     if not len(values):
         return values.copy()
+    from scipy.ndimage import shift
+
     samples = delay_s * rate_hz
     return np.asarray(shift(values, (samples, 0.0), order=3, mode="nearest"))
 
@@ -355,6 +355,8 @@ def lagged(values: Array, time_constant_s: float, rate_hz: float) -> Array:
     """
     if not len(values):
         return values.copy()
+    from scipy.linalg.lapack import dtbtrs
+
     decay = float(np.exp(-1.0 / (rate_hz * time_constant_s)))
     ramp = rate_hz * time_constant_s * (1.0 - decay)
 

@@ -20,7 +20,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, median_filter
 
 from seqid_cli.effects.effect import (
     Coefficient,
@@ -35,6 +34,7 @@ from seqid_cli.effects.repetition import repeats_with_motion
 from seqid_cli.effects.scene import Scene, Scenes
 from seqid_cli.effects.units import Value
 from seqid_cli.robot.types import Robot
+from seqid_cli.running import dilated
 from seqid_cli.spectra import line_power
 from seqid_cli.typing import Array, Complex, Mask
 
@@ -110,6 +110,7 @@ def strongest_lines(
     low = max(low_hz, 8.0 / longest_s) if longest_s > 0.0 else np.inf
     if low >= top:
         return []
+    from scipy.ndimage import median_filter
 
     # Four frequencies per resolution of the longest log.
     spacing = 0.25 / longest_s
@@ -125,7 +126,7 @@ def strongest_lines(
     stands_out = clearness >= PEAK
     of_others = stands_out & is_known(grid)
     lobe = round(LOBE_BINS / (longest_s * spacing))
-    stands_out &= ~binary_dilation(of_others, np.ones(2 * lobe + 1, dtype=bool))
+    stands_out &= ~dilated(of_others, lobe)
     lines: list[float] = []
     while len(lines) < count and stands_out.any():
         clearest = int(np.argmax(np.where(stands_out, clearness, 0.0)))

@@ -7,7 +7,6 @@ from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from seqid_cli.effects.link_readings import LinkReadings
 from seqid_cli.model.friction import SLIDES
@@ -22,6 +21,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.segmentation import TRAVEL_STEPS, noise_step
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
+from seqid_cli.running import dilated
 from seqid_cli.typing import Array, Mask
 
 Joint = int | None  # index; None: of the whole arm, or of all joints alike
@@ -160,8 +160,7 @@ class Scene:
             stopped[:, j] = travelled_ahead - travelled < step
 
         reach = max(1, int(REACH * rate_hz / motion.lowpass.cutoff_hz))
-        window = np.ones((2 * reach + 1, 1), dtype=bool)
-        return np.asarray(binary_dilation(stopped & self.slides, window))
+        return dilated(stopped & self.slides, reach)
 
     @cached_property
     def sign(self) -> Array:

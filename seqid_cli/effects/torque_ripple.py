@@ -29,8 +29,8 @@ from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.fft import rfft
 from numpy.polynomial.chebyshev import chebvander
-from scipy.fft import rfft
 
 from seqid_cli.effects.effect import (
     Coefficient,

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.robot.kinematics import turned_by
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -40,8 +41,6 @@ class Deviation:
 
     def as_robot(self) -> Robot:
         """Return the arm with the shift in its frames, about which joints then move."""
-        from scipy.spatial.transform import Rotation
-
         chain = self.robot.chain
         rotation = chain.rotation.copy()
         position = chain.position.copy()
@@ -50,7 +49,7 @@ class Deviation:
             if chain.prismatic[j]:
                 position[j] += rotation[j] @ step
             else:
-                rotation[j] = rotation[j] @ Rotation.from_rotvec(step).as_matrix()
+                rotation[j] = rotation[j] @ turned_by(step)
         moved = replace(chain, rotation=rotation, position=position)
         return replace(self.robot, chain=moved)
 
@@ -94,8 +93,6 @@ def deviation_torques(
 
 
 def _of_gravity(robot: Robot) -> Iterator[Deviation]:
-    from scipy.spatial.transform import Rotation
-
     if robot.gravity_error <= 0.0 or not robot.gravity.any():
         return
     down = robot.gravity / np.linalg.norm(robot.gravity)
@@ -104,7 +101,7 @@ def _of_gravity(robot: Robot) -> Iterator[Deviation]:
     first = first / np.linalg.norm(first)
     axes = (first, np.cross(down, first))
     for number, axis in enumerate(axes, start=1):
-        turned = Rotation.from_rotvec(robot.gravity_error * axis).apply(robot.gravity)
+        turned = turned_by(robot.gravity_error * axis) @ robot.gravity
         tilted = replace(robot, gravity=turned)
         yield Deviation(f"gravity {number}", tilted, np.zeros(robot.n))
 
@@ -117,8 +114,6 @@ def _of_zeros(robot: Robot) -> Iterator[Deviation]:
 
 
 def _of_geometry(robot: Robot) -> Iterator[Deviation]:
-    from scipy.spatial.transform import Rotation
-
     chain = robot.chain
     none = np.zeros(robot.n)
     for j, joint in enumerate(robot.joints):
@@ -129,8 +124,28 @@ def _of_geometry(robot: Robot) -> Iterator[Deviation]:
                 moved = replace(robot, chain=replace(chain, position=position))
                 yield Deviation(f"place of {joint.name} along {letter}", moved, none)
             if robot.geometry_error_rad > 0.0:
-                turn = Rotation.from_rotvec(robot.geometry_error_rad * np.eye(3)[axis])
+                turn = turned_by(robot.geometry_error_rad * np.eye(3)[axis])
                 rotation = chain.rotation.copy()
-                rotation[j] = rotation[j] @ turn.as_matrix()
+                rotation[j] = rotation[j] @ turn
                 turned = replace(robot, chain=replace(chain, rotation=rotation))
                 yield Deviation(f"turn of {joint.name} about {letter}", turned, none)
+
+
+def constants_note(robot: Robot) -> list[str]:
+    """Say which joints' torque constants are taken as exact, if any."""
+    with_constant = [
+        joint for joint in robot.joints if joint.torque_constant is not None
+    ]
+    exact = ", ".join(
+        joint.name for joint in with_constant if joint.torque_constant_error == 0.0
+    )
+    note = (
+        f"torque constants taken as exact: {exact}; torque_constant_error in the robot"
+        " file adds their error to the standard errors"
+    )
+    if exact and robot.nominal is None:
+        note += (
+            "; without a URDF's inertials a current in percent or shares of a rated one"
+            " shows in nothing but the size of every parameter"
+        )
+    return [note] if exact else []

@@ -18,8 +18,6 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky_banded
-from scipy.linalg.lapack import dtbtrs
 
 from seqid_cli.typing import Array
 
@@ -103,6 +101,8 @@ def factored(
     Where a long hole tells nothing, rounding may make the band indefinite: a share of
     `stiffness` of its largest entry is then added to the diagonal.
     """
+    from scipy.linalg import cholesky_banded
+
     for share in stiffness:
         stiffened = band.copy()
         stiffened[0] += share * np.abs(band[0]).max()
@@ -117,5 +117,7 @@ def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
     """Solve with half of a band: return F^-1 `right` (K, r), or F'^-1 `right`."""
     if not right.size:  # LAPACK would write into memory that is not its own
         return right
+    from scipy.linalg.lapack import dtbtrs
+
     x, _ = dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")
     return np.asarray(x)

@@ -29,8 +29,8 @@ from typing import Protocol, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
-from scipy.linalg import block_diag
 
+from seqid_cli.matrices import block_diagonal
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.position_families import FADE, family_named
@@ -249,7 +249,7 @@ class FrictionSurface:
                 for side, slope in zip(self._sides, self.slopes, strict=True)
             ]
         )
-        return np.asarray(block_diag(self.entry_covariance, np.diag(errors**2)))
+        return block_diagonal(self.entry_covariance, np.diag(errors**2))
 
     def columns(self, q: Array, v: Array) -> Array:
         """Compute the derivatives of the torque by `coefficients`.

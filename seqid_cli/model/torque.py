@@ -16,8 +16,6 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from scipy.ndimage import binary_dilation, minimum_filter1d
-from scipy.special import i0
 
 from seqid_cli.model.friction import (
     FrictionFamily,
@@ -32,6 +30,7 @@ from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
 from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
 from seqid_cli.robot.types import Robot
+from seqid_cli.running import dilated, running_min
 from seqid_cli.typing import Array, Index, Mask
 
 PARTS = 8  # points per sample at which friction is computed where a joint reverses
@@ -351,7 +350,7 @@ def slowest_near(
         following = np.append(values[1:], values[-1:])
         between = values[:, None] * (1.0 - share) + following[:, None] * share
         speed = np.abs(between).ravel()
-        nearest = minimum_filter1d(speed, 2 * reach + 1, mode="nearest")
+        nearest = running_min(speed, 2 * reach + 1)
         slowest[:, column] = nearest[::parts]
     return slowest
 
@@ -458,7 +457,7 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
     near: Mask = np.zeros(len(v), dtype=np.bool_)
     near[:-1] = reverses
     near[1:] |= reverses
-    return np.asarray(binary_dilation(near, np.ones(2 * HALF + 1, dtype=np.bool_)))
+    return dilated(near, HALF)
 
 
 def _band_limited(
@@ -484,7 +483,7 @@ def _taps(*, beta: float = 7.5) -> Array:
     """Return the low-pass (2 HALF + 1, PARTS) over the points around a sample."""
     middle = HALF * PARTS
     at = np.arange(-middle, middle + 1)
-    window = i0(beta * np.sqrt(1.0 - (at / middle) ** 2))
+    window = np.i0(beta * np.sqrt(1.0 - (at / middle) ** 2))
     lowpass = np.sinc(at / PARTS) * window
     taps = np.zeros((2 * HALF + 1) * PARTS)
     taps[: len(at)] = lowpass / lowpass.sum()

@@ -12,11 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.robust import white_noise
+from seqid_cli.running import running_max, running_mean, running_min
 from seqid_cli.typing import Array, Index, Mask
 
 SCALES_S = (0.1, 0.3, 1.0)
@@ -136,7 +136,7 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
     half : int
         Samples between a sample and the middle of either mean.
     """
-    means = uniform_filter1d(q, 2 * half + 1, mode="nearest")
+    means = running_mean(q, 2 * half + 1, beyond="edge")
     change = means[2 * half :] - means[: -2 * half]
     velocity = np.zeros_like(q)
     velocity[half:-half] = change * rate_hz / (2 * half)
@@ -360,10 +360,10 @@ def unmoved(
         (N,).
     """
     size = max(3, samples)
-    swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)
-    rests = (swing <= max_swing_steps * noise_step(q, resolution)).all(axis=1)
+    swing = running_max(q, size) - running_min(q, size)
+    rests = np.all(swing <= max_swing_steps * noise_step(q, resolution), axis=1)
     # A window that rests does so in all its length, not in its middle alone.
-    return np.asarray(maximum_filter1d(rests.astype(np.uint8), size) > 0)
+    return running_max(rests, size)
 
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:

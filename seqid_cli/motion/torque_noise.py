@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import digamma, ndtr, polygamma, softmax
 
+from seqid_cli.distributions import digamma, normal_probability, trigamma
 from seqid_cli.motion.filters.butterworth import ORDER, Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
@@ -244,7 +244,7 @@ class Level:
         lowest = (middle - REACH * spread).min()
         highest = (middle + REACH * spread).max()
         at = np.linspace(lowest, highest, STEPS)
-        below = self.weight[some] @ ndtr((at - middle) / spread)
+        below = self.weight[some] @ normal_probability((at - middle) / spread)
         return np.interp(shares, below / below[-1], at)
 
 
@@ -267,13 +267,13 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     averaged = np.concatenate([band.averaged for band in bands])
 
     # A mean of so many periodograms has a gamma distribution: its logarithm is off by
-    # digamma(a) - log(a) on the average, with the variance polygamma(1, a).
+    # digamma(a) - log(a) on the average, with the variance trigamma(a).
     log_density = np.log(np.maximum(density, TINY)) - digamma(averaged)
     log_density = log_density + np.log(averaged)
     log_scale = log_density - np.log(_shapes(frequency / reference_hz))
     order = np.argsort(log_scale, axis=1)
     log_scale = np.take_along_axis(log_scale, order, axis=1)
-    precision = 1.0 / polygamma(1, averaged)[order]
+    precision = 1.0 / trigamma(averaged)[order]
 
     # For the lowest 1, 2, ... bands: their mean, and the log-likelihood that they and
     # an excess of all others cost.
@@ -286,7 +286,9 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
 
     n_alike = [np.count_nonzero(n_parameters == MORE) for n_parameters in MORE]
     prior = -MORE - np.log(n_alike)
-    weight = softmax(prior - cost[best] - 0.5 * np.log(total[best]))
+    log_weight = prior - cost[best] - 0.5 * np.log(total[best])
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
     return Level(mean[best], 1.0 / total[best], weight, reference_hz)
 
 

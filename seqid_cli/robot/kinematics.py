@@ -34,6 +34,41 @@ def rotation_about(axis: Array, angle: float) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
 
 
+def turned_by(turn: Array) -> Array:
+    """Return the matrix (3, 3) that turns by |`turn`| [rad] about the vector (3,)."""
+    angle = float(np.linalg.norm(turn))
+    return rotation_about(turn / angle, angle) if angle > 0.0 else np.eye(3)
+
+
+def one_turn(first: Array, then: Array) -> Array:
+    """Return the one turn (3,) [rad] that does what two turns one by one do.
+
+    By the product of their quaternions.
+    """
+    real, imaginary = _quaternion(first)
+    then_real, then_imaginary = _quaternion(then)
+    both_real = then_real * real - then_imaginary @ imaginary
+    both_imaginary = (
+        then_real * imaginary
+        + real * then_imaginary
+        + np.cross(then_imaginary, imaginary)
+    )
+    if both_real < 0.0:  # the same turn the shorter way
+        both_real = -both_real
+        both_imaginary = -both_imaginary
+    sine = float(np.linalg.norm(both_imaginary))
+    per_sine = 2.0 * np.arctan2(sine, both_real) / sine if sine > 0.0 else 2.0
+    return np.asarray(per_sine * both_imaginary)
+
+
+def _quaternion(turn: Array) -> tuple[float, Array]:
+    """Return the real part and the imaginary ones (3,) of a turn (3,) [rad]."""
+    angle = float(np.linalg.norm(turn))
+    # The sine of half the angle over the angle.
+    share = 0.5 * float(np.sinc(0.5 * angle / np.pi))
+    return float(np.cos(0.5 * angle)), np.asarray(share * turn)
+
+
 def tidy_rotation(R: Array) -> Array:
     """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact.
 

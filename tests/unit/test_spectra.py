@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import fft, signal
 
 from seqid_cli import spectra
 
@@ -48,3 +48,8 @@ def test_no_line_is_left() -> None:
     expected = signal.detrend(rows, axis=1)
     found = spectra.without_line(rows)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_fast_lengths_are_those_of_scipy() -> None:
+    for least in (*range(1, 2000), 12345, 99_999, 1_000_001):
+        assert spectra.fast_length(least) == fft.next_fast_len(least, real=True)

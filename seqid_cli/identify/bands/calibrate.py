@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
+from seqid_cli.distributions import normal_quantile
 from seqid_cli.identify.bands.left_out import FEWEST_LOGS, Fit, left_out_residuals
 from seqid_cli.identify.bands.rows import BandRows, BandRowsCollector
 from seqid_cli.identify.bands.variance import ParameterVariance
@@ -234,7 +234,7 @@ def cell_of(fast: Mask, loaded: Mask) -> Index:
 
 def _relative_quantiles(score: Array, levels: Sequence[float]) -> Array:
     """Return quantiles of scores, relative to those of |x| of a standard normal x."""
-    normal_quantiles = ndtri(0.5 + 0.5 * np.array(levels))
+    normal_quantiles = [normal_quantile(0.5 + 0.5 * level) for level in levels]
     return np.asarray(np.quantile(score, levels) / normal_quantiles)
 
 
@@ -307,7 +307,7 @@ def _interval_score(score: Array, std: Array, factor: Array) -> float:
     """
     total = 0.0
     for level in BAND_LEVELS:
-        half_width = float(ndtri(0.5 + 0.5 * level)) * factor
+        half_width = normal_quantile(0.5 + 0.5 * level) * factor
         excess = np.maximum(score - half_width, 0.0)
         penalty = 2.0 / (1.0 - level) * excess
         total += float(np.sum(std * (2.0 * half_width + penalty)))

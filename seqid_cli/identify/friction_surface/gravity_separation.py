@@ -21,11 +21,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Chebyshev, chebyshev
-from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface.trials import Trial, speed_levels
 from seqid_cli.identify.nuisances import EVEN_TERMS, PRIORS, EvenPart
 from seqid_cli.identify.settings import TrialSettings
+from seqid_cli.matrices import block_diagonal
 from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
@@ -293,7 +293,7 @@ def fit_gravity(
         gravity_columns(robot, joint, group[0].configuration, np.vstack(pairs)[:, 0])
         for group, pairs in paired
     ]
-    gravity = block_diag(*by_group)
+    gravity = block_diagonal(*by_group)
     friction = table.smooth_friction()
     even_columns = friction.even_columns(table.q, table.speed)
     size = friction.torque(table.q, table.speed)

@@ -30,8 +30,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor
-from scipy.linalg.lapack import dpotri
 
 from seqid_cli.identify.friction_surface.reduction import (
     EDGES,
@@ -190,6 +188,9 @@ class Normal:
 
     def posterior(self, prior: Array) -> EntryPosterior:
         """Return the posterior of the entries, given prior standard deviations (k,)."""
+        from scipy.linalg import cho_factor
+        from scipy.linalg.lapack import dpotri
+
         free = np.flatnonzero(prior)  # of the others nothing is left open
         among_free = np.ix_(free, free)
         scale = np.outer(prior[free], prior[free])

@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from seqid_cli.distributions import normal_quantile
 from seqid_cli.identify.options import MAX_POSITION_ORDER
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array, Mask
@@ -96,18 +97,17 @@ class SpeedData:
 
 def around_medians(data: list[SpeedData]) -> list[Array]:
     """Return distances (K,) N m of slices from medians over positions and trials."""
-    from scipy.stats import binned_statistic
-
     around_trial = [item.friction - np.median(item.friction) for item in data]
     q = np.concatenate([item.q for item in data])
-    median, edges, _ = binned_statistic(
-        q, np.concatenate(around_trial), "median", MEDIAN_BINS
-    )
+    edges = np.linspace(q.min(), q.max(), MEDIAN_BINS + 1)
+    bin_number = np.searchsorted(edges[1:-1], q, side="right")
     centres = 0.5 * (edges[1:] + edges[:-1])
-    filled = np.isfinite(median)
+    filled = np.unique(bin_number)
+    friction_around = np.concatenate(around_trial)
+    median = [np.median(friction_around[bin_number == number]) for number in filled]
     distances = []
     for item, friction in zip(data, around_trial, strict=True):
-        over_position = np.interp(item.q, centres[filled], median[filled])
+        over_position = np.interp(item.q, centres[filled], median)
         distance = friction - over_position
         distances.append(distance - np.median(distance))
     return distances
@@ -123,10 +123,10 @@ def weighted(data: list[SpeedData], distances: list[Array]) -> list[SpeedData]:
     distances : list of (K,) arrays
         Distances of their slices from the surface [N m].
     """
-    from scipy.stats import median_abs_deviation
-
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    deviations = [median_abs_deviation(x, scale="normal") for x in distances]
+    deviations = [
+        np.median(np.abs(x - np.median(x))) / normal_quantile(0.75) for x in distances
+    ]
     scales = np.maximum(deviations, max(MIN_SCATTER * level, 1e-300))
     samples = np.array([float(np.median(item.weight)) for item in data])
     variances = scales**2 * samples

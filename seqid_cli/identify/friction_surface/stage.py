@@ -44,6 +44,7 @@ from seqid_cli.identify.log_set import paths_of
 from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.settings import FrictionSettings, SurfaceSettings
+from seqid_cli.identify.tolerances import constants_note
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -130,7 +131,7 @@ def identify_friction(
         verdicts.append(verdict)
     if not joints:
         raise _no_surface(robot, first)
-    notes += summary.constants_note(robot)
+    notes += constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 

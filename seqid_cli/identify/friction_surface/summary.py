@@ -14,7 +14,6 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebvander
-from scipy.special import erf
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
@@ -85,6 +84,7 @@ class Errors:
         friction.
         """
         from scipy.optimize import brentq
+        from scipy.special import erf
 
         spreads = np.hypot(self.noise, self.trial_error) / self._denominator
         largest = float(spreads.max())
@@ -420,23 +420,3 @@ def _criterion_note(name: str, joint: FrictionJoint, *, searched: bool) -> str:
         return text
     orders = f"({joint.position_order}, {joint.velocity_order})"
     return f"{text}; no orders meet it, and the data support none beyond {orders}"
-
-
-def constants_note(robot: Robot) -> list[str]:
-    """Say which joints' torque constants are taken as exact, if any."""
-    with_constant = [
-        joint for joint in robot.joints if joint.torque_constant is not None
-    ]
-    exact = ", ".join(
-        joint.name for joint in with_constant if joint.torque_constant_error == 0.0
-    )
-    note = (
-        f"torque constants taken as exact: {exact}; torque_constant_error in the robot"
-        " file adds their error to the standard errors"
-    )
-    if exact and robot.nominal is None:
-        note += (
-            "; without a URDF's inertials a current in percent or shares of a rated one"
-            " shows in nothing but the size of every parameter"
-        )
-    return [note] if exact else []

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import beta
 
 from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.logs.recording import Recording
@@ -32,8 +31,9 @@ STRETCH_PERIODS = (
 )
 ABOVE, UP_TO = 1.5, 10.0  # times the cut-off, between which moving joints show noise
 # Twice low-passed noise of the acceleration over that below the cut-off: 5 times the
-# integral of x^4 / (1 + x^8)^4.
-PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
+# integral of x^4 / (1 + x^8)^4, which is an eighth of Euler's beta of 0.625 and 3.375.
+BETA = math.gamma(0.625) * math.gamma(3.375) / math.gamma(4.0)
+PASSED = math.sqrt(0.625 * BETA)
 # One surface has one error, of a size between none and twice its standard error.
 FRICTION_DOUBT = 2.0
 ENCODER_DOUBT = 1.5  # the motion's noise is known to half of itself

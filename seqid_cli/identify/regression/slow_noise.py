@@ -22,8 +22,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.special import sici
 
 from seqid_cli.typing import Array, Index
 
@@ -51,6 +49,7 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
 
     There are more rows than columns. The function takes and returns rows (N, ...).
     """
+    from scipy.linalg import solve_triangular
     from scipy.optimize import minimize
 
     # A part's strength against white noise counts from `least` on.
@@ -92,6 +91,8 @@ def _shapes(
     rows: Rows, at: Index, *, lengths: float = 4.0
 ) -> tuple[Array, Array, Array]:
     """Return W's diagonal, T and F of the rows of one log."""
+    from scipy.special import sici
+
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t = rows.t[at]
     trial = rows.trial[at]
@@ -118,7 +119,7 @@ def _root(
     V[np.diag_indices_from(V)] += strengths[0] * white
     # Rows at nearly the same time leave V as good as singular.
     V[np.diag_indices_from(V)] += stiffness * float(np.trace(V)) / len(V)
-    return np.asarray(cholesky(V, lower=True, check_finite=False))
+    return np.asarray(np.linalg.cholesky(V))
 
 
 def _restricted(rows: Rows, logs: Sequence[Index], roots: Sequence[Array]) -> float:
@@ -126,6 +127,8 @@ def _restricted(rows: Rows, logs: Sequence[Index], roots: Sequence[Array]) -> fl
 
     A constant is left out.
     """
+    from scipy.linalg import solve_triangular
+
     table = np.column_stack([rows.H, rows.y])
     log_determinant = 0.0
     normal = np.zeros((table.shape[1], table.shape[1]))

@@ -31,7 +31,6 @@ from msgspec.structs import replace as replace_fields
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.bands.calibrate import calibrate
 from seqid_cli.identify.bands.left_out import Fit
-from seqid_cli.identify.friction_surface.summary import constants_note
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.regression.noise_level import (
@@ -51,6 +50,7 @@ from seqid_cli.identify.rigid.simultaneous_equations import (
     surface_entries,
 )
 from seqid_cli.identify.settings import OneStepSettings, SimultaneousSettings
+from seqid_cli.identify.tolerances import constants_note
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
 from seqid_cli.model.torque import known_rotors, sliding

@@ -45,6 +45,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import AxisReference
+from seqid_cli.robot.kinematics import turned_by
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
@@ -342,7 +343,6 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> _Start:
     weight on the lever, in readings' noise per m.
     """
     from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
 
     xx, xy, yy = sums
     samples = max(float(xx[-1, -1]), 1.0)
@@ -359,7 +359,7 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> _Start:
 
     def placed(step: Array) -> Mounting:
         """Return the mounting after a turn and with a lever (6,)."""
-        turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
+        turned = turned_by(step[:3]) @ R
         return Mounting(
             imu.after_joint, imu.positions.reshape(-1, 3), axes, turned, step[3:]
         )

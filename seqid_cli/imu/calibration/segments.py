@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.ndimage import binary_dilation, median_filter
 from scipy.sparse import bsr_array, coo_array, csr_array, diags_array, eye_array, kron
 
 from seqid_cli.imu.smoother.chunk import JERK, EncoderView, bridged, encoder_view
@@ -27,6 +26,7 @@ from seqid_cli.motion.filters.differentiation import FIRST, SECOND, SIDE, differ
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
+from seqid_cli.running import dilated, median_of_five
 from seqid_cli.typing import Array, Index, Mask
 
 
@@ -77,7 +77,7 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
         raw = np.hstack([raw, recording.gyros[imu.name]])
     values, bad = cleaned(raw, recording.valid)
     reach = max(1, round(0.4 * recording.rate_hz / lowpass.cutoff_hz))
-    spread = binary_dilation(bad, np.ones((2 * reach + 1, 1), dtype=bool))
+    spread = dilated(bad, reach)
     smooth = lowpass(values, recording.valid)
     curve = make_interp_spline(recording.t, smooth, k=3)
     # Jolts are in most channels at once; what jumps in one by itself is bridged.
@@ -112,7 +112,7 @@ def cleaned(
     finite = np.isfinite(values)
     values = np.where(finite, values, 0.0)
     bad = ~finite | ~valid[:, None]
-    middle = median_filter(values, size=(5, 1), mode="nearest")
+    middle = median_of_five(values, beyond="edge")
     off = np.abs(values - middle)
     motion = np.abs(np.gradient(middle, axis=0)) if len(values) > 1 else off
     noise = np.maximum(white_noise(values), 1e-9)

@@ -15,6 +15,7 @@ from seqid_cli.imu.array import layout
 from seqid_cli.imu.clock import Clock
 from seqid_cli.imu.sensor import Mounting, constant_slopes
 from seqid_cli.imu.sensor import Places as SensorPlaces
+from seqid_cli.robot.kinematics import turned_by
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array, Index
 
@@ -252,11 +253,9 @@ class Constants:
 
     def moved(self, step: Array) -> "Constants":
         """Return the constants after a step (p,)."""
-        from scipy.spatial.transform import Rotation
-
         at = self.places
         return Constants(
-            R=Rotation.from_rotvec(step[at.turn]).as_matrix() @ self.R,
+            R=turned_by(step[at.turn]) @ self.R,
             lever=self.lever + step[at.lever],
             delay=self.delay + float(step[at.delay]),
             bias=self.bias + step[at.bias],

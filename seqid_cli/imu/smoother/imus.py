@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.imu.array import entries
 from seqid_cli.imu.sensor import Mounting
 from seqid_cli.imu.smoother.chunk import Mounted
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robot.kinematics import one_turn, turned_by
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
+from seqid_cli.running import running_max, running_mean
 from seqid_cli.typing import Array, Index, Mask
 
 # Standard deviations of what changes since a calibration was made.
@@ -222,9 +223,9 @@ def _silent(
     np.equal(values[:, 1:], values[:, :-1], out=repeats[:, 1:])
 
     all_repeat = repeats.all(axis=0).astype(float)
-    silent = uniform_filter1d(all_repeat, min_alike) > 0.9
+    silent = running_mean(all_repeat, min_alike) > 0.9
     # The window's whole width is as silent as its middle.
-    silent = uniform_filter1d(silent.astype(float), min_alike + 2) > 0
+    silent = running_max(silent, min_alike + 2)
 
     width = max(min_alike, int(stuck_s * rate_hz))
     stuck = np.zeros_like(repeats)
@@ -232,8 +233,8 @@ def _silent(
     for k in np.flatnonzero(share > min(width, len(raw)) / (2 * len(raw))):
         others = np.delete(repeats, k, axis=0).mean(axis=0)
         repeats_alone = repeats[k] & (others < 0.5)
-        alone = uniform_filter1d(repeats_alone, width, output=float) > 0.9
-        stuck[k] = uniform_filter1d(alone.astype(float), width) > 0
+        alone = running_mean(repeats_alone.astype(float), width) > 0.9
+        stuck[k] = running_max(alone, width)
     return np.asarray((stuck | silent).T)
 
 
@@ -282,22 +283,17 @@ def clipped(
 
 def moved(x: Mounted, change: Array) -> Mounted:
     """Return an IMU whose constants have changed by `change` (g,)."""
-    from scipy.spatial.transform import Rotation
-
     places = x.places
-    rotation = Rotation.from_rotvec(change[places.turn])
     place = replace(
         x.place,
         lever=x.place.lever + change[places.lever],
-        R=rotation.as_matrix() @ x.place.R,
+        R=turned_by(change[places.turn]) @ x.place.R,
         axes=x.place.axes + change[places.head :].reshape(-1, 3),
     )
 
     # Turns do not add up: they follow one another.
     away = x.away + change
-    away[places.turn] = (
-        rotation * Rotation.from_rotvec(x.away[places.turn])
-    ).as_rotvec()
+    away[places.turn] = one_turn(x.away[places.turn], change[places.turn])
     return replace(
         x,
         place=place,

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
+from seqid_cli.distributions import student_quantile
 from seqid_cli.imu.sensor import link_slopes, link_state
 from seqid_cli.imu.smoother.chunk import Mounted
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -200,7 +200,7 @@ def compliance_of(
         if_rigid = _left_by_others(scaled[:, :n_rigid], values, weights, blocks)
         gain = if_rigid - if_bent
         std_error = max(gain.std(ddof=1) / np.sqrt(count), 1e-300)
-        if gain.mean() / std_error > stdtrit(count - 1, 1.0 - false_alarms):
+        if gain.mean() / std_error > student_quantile(count - 1, 1.0 - false_alarms):
             coefficients = _weighted(scaled, values, weights) / size
             per_snap[j, moving] = coefficients[n_rigid:]
     return Compliance(per_snap)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.imu.bordered import eliminated, halved
 from seqid_cli.imu.smoother import system
@@ -21,6 +20,7 @@ from seqid_cli.imu.smoother.system import (
     Linear,
     normal_equations,
 )
+from seqid_cli.running import running_mean
 from seqid_cli.typing import Array, Index
 
 
@@ -93,7 +93,7 @@ def encoder_motion(
         Coefficients (K, n).
     """
     q = np.column_stack([view.q for view in chunk.views])
-    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
+    q = running_mean(q, max(3, int(first_mean_s / chunk.dt)))
     at_knots = (np.arange(chunk.intervals + 3) - 1) * chunk.every
     c = q[np.clip(at_knots, 0, len(q) - 1)]
 
@@ -310,10 +310,10 @@ def _renewed_jerk(
     around = max(3, int(open_s / chunk.spacing))
     relative = np.empty_like(estimated)
     for j, share_told in enumerate(n_told / m):
-        informed = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
+        informed = np.clip(1.0 - running_mean(left_open[:, j], around), 0.0, 1.0)
         width = int(np.clip(nearby / share_told, least_nearby, m))
         square = (estimated[:, j] / size[j]) ** 2
-        near = uniform_filter1d(uniform_filter1d(square, width), width)
+        near = running_mean(running_mean(square, width), width)
 
         average = float(
             np.mean(jerk.relative[:, j] ** 2 * informed) / np.mean(informed + 1e-9)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
-from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice
 from seqid_cli.inspect.findings import finding_of
@@ -15,6 +14,7 @@ from seqid_cli.inspect.scales import Scale, angle_scales
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.running import median_of_five
 from seqid_cli.typing import Index
 
 ALONE = 0.3  # of a jump, that the samples before and after may move
@@ -305,7 +305,7 @@ def _least_jump(
     the joint, if it is known.
     """
     change = np.diff(q)
-    uneven = np.sort(np.abs(change - median_filter(change, 5, mode="wrap")))
+    uneven = np.sort(np.abs(change - median_of_five(change, beyond="wrap")))
     # The jumps themselves must not count as noise.
     without_jumps = uneven[: max(len(change) - max_jumps, 1)]
     noise = float(np.quantile(without_jumps, 0.99))

@@ -3,7 +3,6 @@
 from collections.abc import Container, Iterator
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import (
     clipped,
@@ -19,6 +18,7 @@ from seqid_cli.inspect.settings import ChannelSettings
 from seqid_cli.logs.signs import sign_bit
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
+from seqid_cli.running import median_of_five
 from seqid_cli.shares import percent
 from seqid_cli.typing import Index, Mask
 
@@ -154,7 +154,7 @@ def _spikes(values: Array, settings: ChannelSettings) -> Index:
     max_spikes = 16
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
-    distance = np.abs(values - median_filter(values, 5, mode="nearest"))
+    distance = np.abs(values - median_of_five(values, beyond="edge"))
     # The largest distance that is none of the spikes.
     usual = float(np.partition(distance, len(values) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.special import stdtrit
 
+from seqid_cli.distributions import student_quantile
 from seqid_cli.inspect.settings import EchoSettings
 from seqid_cli.robot.base_parameters import base_parameters, gravity_base_regressor
 from seqid_cli.robot.types import Robot
@@ -199,7 +199,7 @@ def _follows_position(
     direction = _residual(other_columns, X[:, direction_column])
     std_error = _std_error(direction, left, stretch)
     n_stretches = len(np.unique(stretch))
-    quantile = float(stdtrit(n_stretches - 1, 0.975))
+    quantile = student_quantile(n_stretches - 1, 0.975)
     largest = abs(float(theta[direction_column])) + quantile * std_error
     return largest < settings.max_friction * size
 

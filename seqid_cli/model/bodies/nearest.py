@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.matrices import block_diagonal
 from seqid_cli.model.bodies.consistent import consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.model.torque import known_rotors, standard_parameters
@@ -208,7 +208,7 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> _Determined:
     common = of_torque_constants.T @ of_torque_constants
     return _Determined(
         parameters=parameters,
-        covariance=block_diag(*covariances) + common,
+        covariance=block_diagonal(*covariances) + common,
         moves=of_torque_constants,
     )
 

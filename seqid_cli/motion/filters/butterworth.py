@@ -24,9 +24,10 @@ from functools import lru_cache
 from typing import cast
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from numpy.fft import irfft, rfft
 
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.spectra import fast_length
 from seqid_cli.typing import Array, Index, Mask
 
 ORDER = 4  # of one pass
@@ -214,7 +215,7 @@ class _Response:
         if run is not None:
             pieces = max(1, round(run / (wanted - 2 * self.reach)))
             wanted = -(-run // pieces) + 2 * self.reach
-        self.size = every * next_fast_len(-(-wanted // every), real=True)
+        self.size = every * fast_length(-(-wanted // every))
 
         # The middle of h at sample 0, so that the phase is zero.
         padded = np.zeros(self.size)

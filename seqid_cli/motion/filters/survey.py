@@ -11,7 +11,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import rfft
+from numpy.fft import rfft
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.thinned import Thinned
@@ -68,7 +68,7 @@ class Welch:
             piece = samples[start : start + wanted].T
             if self._differences:
                 piece = np.diff(piece, self._differences, axis=1)
-            spectrum = rfft(piece * self._window, axis=1, overwrite_x=True)
+            spectrum = rfft(piece * self._window, axis=1)
             self._sum = self._sum + (spectrum.real**2 + spectrum.imag**2)
             self._segments += 1
             self._start += hop if self._start < dense else sparse * hop

@@ -10,10 +10,10 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from seqid_cli.effects.effect import Effect
 from seqid_cli.effects.scene import Joint, Scene, Scenes
+from seqid_cli.matrices import block_diagonal
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor
@@ -140,7 +140,9 @@ class Question:
             n_true=(n_true[0], n_true[1]),
             friction=[slice(int(low), int(high)) for low, high in pairwise(ends)],
             n_base=int(ends[-1]),
-            prior=block_diag(on_rigid, *(x for x in on_friction if len(x)), on_effects),
+            prior=block_diagonal(
+                on_rigid, *(x for x in on_friction if len(x)), on_effects
+            ),
         )
 
 

@@ -5,23 +5,24 @@ order of the items, and what goes wrong comes as an exception that names its ite
 Imports nothing heavy.
 """
 
+from __future__ import annotations
+
 import contextlib
-import importlib.util
-import logging
-import multiprocessing
 import os
 import signal
 import traceback
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from seqid_cli.errors import InputError, SeqidError, UsageError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -83,6 +84,8 @@ def ordered(
     if executor is None:
         yield from (answer(function, item) for item in items)
         return
+    from concurrent.futures import BrokenExecutor
+
     pending: deque[tuple[T, Future[Reply[R]] | None]] = deque()
     remaining = iter(items)
     try:
@@ -134,6 +137,7 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
     jobs : int, optional
         Number of processes; all cores by default.
     """
+    import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
     earlier_children = set(multiprocessing.active_children())
@@ -180,6 +184,9 @@ def dask_cluster(
     UsageError
         No scheduler answers at the address, or Dask is not installed.
     """
+    import importlib.util
+    import logging
+
     if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"
         raise UsageError("--engine dask needs Dask, which is not installed", hint=hint)
@@ -242,6 +249,8 @@ def _reply(
     function: Callable[[T], R], item: T, future: Future[Reply[R]] | None
 ) -> Reply[R]:
     """Return the reply of an item; the loss of its worker counts as its failure."""
+    from concurrent.futures import BrokenExecutor, CancelledError
+
     try:
         if future is not None:
             return future.result()

@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli import discover, identify
-from seqid_cli import payload as payloads
+from seqid_cli import identify
 from seqid_cli.commands.command_run import CommandRun, quoted
 from seqid_cli.commands.options import (
     SIX,
@@ -47,15 +46,12 @@ from seqid_cli.commands.screen.show import (
     show_verdicts,
     verdict_text,
 )
-from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.reading import LogPart
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.payload.settings import PayloadSettings
 
 _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
 _HELD_OUT = (
@@ -242,6 +238,9 @@ nothing is changed.
 
     With --strict the exit code is 1 unless nothing is missing.
     """  # noqa: D205
+    from seqid_cli import discover
+    from seqid_cli.commands.screen.show_diagnosis import show_diagnosis
+
     with CommandRun(
         "diagnose", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     ) as run:
@@ -254,7 +253,7 @@ nothing is changed.
             part=LogPart.of(start, stop, exclude),
             source=source,
         )
-        settings = run.settings(DiscoverSettings(), set_values)
+        settings = run.settings(discover.DiscoverSettings(), set_values)
         file = discover.diagnose(
             logs,
             robot,
@@ -383,6 +382,9 @@ predicted better.
     taken out and listed; the rest is fitted again without it. With --strict the exit
     code is 1 if nothing stays, or if something stays that they do not confirm.
     """  # noqa: D205
+    from seqid_cli import discover
+    from seqid_cli.commands.screen.show_diagnosis import show_refinement
+
     with CommandRun(
         "refine", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     ) as run:
@@ -398,7 +400,7 @@ predicted better.
             with_unexplained=with_unexplained,
             keep_unconfirmed=keep_unconfirmed,
         )
-        settings = run.settings(DiscoverSettings(), set_values)
+        settings = run.settings(discover.DiscoverSettings(), set_values)
         file = discover.refine(
             logs,
             holdout,
@@ -470,6 +472,9 @@ def payload(
     without it. Moves of all joints, some of them slow, tell most. The result is in the
     frame of the last joint.
     """
+    from seqid_cli import payload as payloads
+    from seqid_cli.payload.settings import PayloadSettings
+
     with CommandRun(
         "payload", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     ) as run:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -34,6 +33,8 @@ from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
 

@@ -5,12 +5,13 @@ They are taken here in the order of the logs; the result is the same to the last
 whoever made the parts.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from msgspec.structs import replace as replace_fields
 
@@ -29,6 +30,9 @@ from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import InputLog, Verdict, Written
 from seqid_cli.robot.types import Robot
 from seqid_cli.scale import Reply, answer, ordered
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")
@@ -70,7 +74,7 @@ class LogSet:
     _to_warn: list[InspectionFinding] = field(default_factory=list)
 
     @classmethod
-    def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
+    def of(cls, inputs: Inputs, *, imus: bool | None = None) -> LogSet:
         """Return the logs of a function; without `imus` the imu stage decides it."""
         has_imu_stage = inputs.stages.imu is not None
         logs = cls(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar
 
@@ -16,6 +15,8 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from seqid_cli.inspect.progress import Progress
     from seqid_cli.logs.given import PathLike
     from seqid_cli.model.friction import IdentifiedRange

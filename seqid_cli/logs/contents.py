@@ -6,10 +6,6 @@ from pathlib import Path
 
 from seqid_cli.being_read import being_read
 from seqid_cli.logs.log_file import LogFile
-from seqid_cli.logs.mcap import descriptions, reader, rosbags
-from seqid_cli.logs.mcap.records import Scan
-from seqid_cli.logs.mcap.rosbags import BagScan
-from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 
@@ -40,6 +36,8 @@ def _contents_of(log: LogFile) -> LogContents:
     kind = log.format
     file = log.file
     if kind == "parquet":
+        from seqid_cli.logs.tables import parquet
+
         table = parquet.open_joined(file)
         joints = tuple(table.entries) or _lerobot_joints(file, table.names)
         return LogContents(
@@ -50,6 +48,8 @@ def _contents_of(log: LogFile) -> LogContents:
             columns=table.names,
         )
     if kind == "csv":
+        from seqid_cli.logs.tables import csv_file
+
         csv = csv_file.open_table(file)
         return LogContents(
             format=kind,
@@ -58,7 +58,10 @@ def _contents_of(log: LogFile) -> LogContents:
             columns=csv.names,
         )
 
-    list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
+    if kind == "mcap":
+        from seqid_cli.logs.mcap.reader import list_topics
+    else:
+        from seqid_cli.logs.mcap.rosbags import list_topics
     contents = list_topics(file)
     return LogContents(
         format=kind,
@@ -76,14 +79,20 @@ def robot_descriptions(path: Path) -> dict[str, str]:
     log = LogFile.at(path)
     if log.format in ("parquet", "csv"):
         return {}
+    from seqid_cli.logs.mcap import descriptions
+    from seqid_cli.logs.mcap.records import Scan
+    from seqid_cli.logs.mcap.rosbags import BagScan
+
     with being_read(log.file):
         return descriptions.read(log.file, Scan if log.format == "mcap" else BagScan)
 
 
 def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:
     """Name the joints of a LeRobot state as its data set does; empty if it does not."""
+    from seqid_cli.logs.tables.parquet import lerobot_names
+
     size = len(_counted(columns))
-    motors = parquet.lerobot_names(path) if size else []
+    motors = lerobot_names(path) if size else []
     if len(motors) != size:
         return ()
     return tuple(_STATE_ENDING.sub("", motor) for motor in motors)

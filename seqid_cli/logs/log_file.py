@@ -34,24 +34,14 @@ import numpy as np
 
 from seqid_cli.being_read import being_read
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs.mcap import reader, rosbags
-from seqid_cli.logs.mcap.records import read_summary
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, BlockReader, RawLog, Stream
 from seqid_cli.logs.reading import HEADER_STAMPS, LogPart, Reading
 from seqid_cli.logs.storage import files
-from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.tables.siblings import siblings
 from seqid_cli.logs.turns import commands_in_turns, in_turns
 from seqid_cli.robot.types import Robot
 
-_READERS: dict[str, BlockReader] = {
-    "parquet": parquet.read_blocks,
-    "mcap": reader.read_blocks,
-    "csv": csv_file.read_blocks,
-    "rosbag2": rosbags.read_blocks,
-    "rosbag1": rosbags.read_blocks,
-}
 # Formats of which a block is read without the rest of the log.
 _BLOCKWISE = ("parquet", "mcap")
 _BYTES_PER_MESSAGE = 100  # of an MCAP file that does not tell how many it holds
@@ -134,15 +124,15 @@ class LogFile:
         nothing of it is used.
         """
         with files.unchanged(self.file, self.state):
-            blocks = _READERS[self.format](self.file, robot, self.reading.time_source)
+            read_blocks = _reader_of(self.format)
+            blocks = read_blocks(self.file, robot, self.reading.time_source)
             yield from self._used(blocks)
 
     def whole(self, robot: Robot) -> RawLog:
         """Read the part that is used as one block, positions made to run on."""
         with files.unchanged(self.file, self.state):
-            blocks = _READERS[self.format](
-                self.file, robot, self.reading.time_source, rows=None
-            )
+            read_blocks = _reader_of(self.format)
+            blocks = read_blocks(self.file, robot, self.reading.time_source, rows=None)
             (raw,) = self._used(blocks)
         return running_on(raw, robot)
 
@@ -184,8 +174,12 @@ class LogFile:
                 with being_read(self.file), opened_table(self.file) as table:
                     return int(table.metadata.num_rows)
             except ARROW_ERRORS as error:
-                raise parquet.damaged(self.file, error) from error
+                from seqid_cli.logs.tables.parquet import damaged
+
+                raise damaged(self.file, error) from error
         if self.format == "mcap":
+            from seqid_cli.logs.mcap.records import read_summary
+
             with files.unchanged(self.file, self.state), self.file.open("rb") as file:
                 size = self.file.stat().st_size
                 statistics = read_summary(file, size).statistics
@@ -193,6 +187,20 @@ class LogFile:
                 return int(statistics.message_count)
             return size // _BYTES_PER_MESSAGE
         return 0
+
+
+def _reader_of(kind: str) -> BlockReader:
+    """Return the reader of a format (`check_log`) and import that of no other."""
+    read_blocks: BlockReader
+    if kind == "parquet":
+        from seqid_cli.logs.tables.parquet import read_blocks
+    elif kind == "csv":
+        from seqid_cli.logs.tables.csv_file import read_blocks
+    elif kind == "mcap":
+        from seqid_cli.logs.mcap.reader import read_blocks
+    else:
+        from seqid_cli.logs.mcap.rosbags import read_blocks
+    return read_blocks
 
 
 @dataclass(frozen=True)

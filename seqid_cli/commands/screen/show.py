@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params import schema
@@ -249,6 +248,8 @@ def _median_errors(
     errors: Sequence[_AccelerationErrors], robot: schema.RobotId, other_source: str
 ) -> str:
     """Return the medians of both errors in words, unit by unit."""
+    from statistics import median
+
     by_unit: dict[str, list[_AccelerationErrors]] = {}
     for error in errors:
         unit = robot.unit("rad/s^2", error.joint)

@@ -19,7 +19,6 @@ from seqid_cli.identify.judging import as_a_whole
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.model_checks import model_verdicts
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.identify.prediction.verdicts import joint_verdicts, noise_floors
 from seqid_cli.identify.settings import PredictSettings
 from seqid_cli.params.document import head, present, robot_id, used_settings
@@ -125,6 +124,8 @@ def _writer(
     names = inputs.robot.joint_names
     if torques is None:
         return nullcontext(lambda _: None)
+    from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
+
     if torques.suffix.lower() == ".mcap":
         return mcap_writer(torques, names)
     return parquet_writer(torques, names, [item.sha256 for item in inputs.ids()])

@@ -7,10 +7,13 @@ it leaves out of the acceleration above its own bandwidth the low-pass takes fro
 and motion alike.
 """
 
+from __future__ import annotations
+
 import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,7 +21,6 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.imu.smoother.imus import mounted_imus
 from seqid_cli.imu.smoother.left_out import Compliance, beyond_noise, compliance_of
-from seqid_cli.imu.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.logs.recording import Recording, cut
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -33,6 +35,9 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
+
+if TYPE_CHECKING:
+    from seqid_cli.imu.smoother.smooth import Smoothed
 
 
 def fused_motion(
@@ -95,7 +100,7 @@ def fused_motion(
     return replace(_filtered(log, encoder, smoothed, judged), warnings=warnings)
 
 
-def _smaller_error(judged: "LeftOut", smoothed: Smoothed, encoder: Motion) -> bool:
+def _smaller_error(judged: LeftOut, smoothed: Smoothed, encoder: Motion) -> bool:
     """Return whether fused motion errs less than the encoders.
 
     The geometric mean over the joints that move counts. What is left out was compared
@@ -126,7 +131,7 @@ def _bending(robot: Robot, bent: Array) -> Iterator[str]:
 
 
 def _with_left_out_errors(
-    encoder: Motion, smoothed: Smoothed, judged: "LeftOut"
+    encoder: Motion, smoothed: Smoothed, judged: LeftOut
 ) -> Motion:
     """Return the encoders' motion with what the IMUs say of its error."""
     ddq = encoder.lowpass(smoothed.ddq, encoder.valid)
@@ -292,7 +297,7 @@ def disagreement(
     return np.asarray(moving & ~(difference <= limit))
 
 
-_CACHE = OrderedDict[bytes, Smoothed]()
+_CACHE: OrderedDict[bytes, Smoothed] = OrderedDict()
 
 
 def _smoothed(
@@ -303,6 +308,8 @@ def _smoothed(
     most_values: int = 16_000_000,
 ) -> Smoothed:
     """Smooth a log; the last motions are kept, up to `most_values` in all."""
+    from seqid_cli.imu.smoother.smooth import smoothed_motion
+
     digest = _digest(recording, robot, stage)
     smoothed = _CACHE.pop(digest, None) or smoothed_motion(recording, robot, stage)
     _CACHE[digest] = smoothed
@@ -344,7 +351,7 @@ def absent_imus(
 
 
 def _filtered(
-    recording: Recording, encoder: Motion, smoothed: Smoothed, judged: "LeftOut"
+    recording: Recording, encoder: Motion, smoothed: Smoothed, judged: LeftOut
 ) -> Motion:
     """Filter a smoothed motion.
 

@@ -9,7 +9,6 @@ from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
@@ -65,7 +64,7 @@ def column(table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column, dictionaries resolved."""
     values = table.column(name)
     if pa.types.is_dictionary(values.type):
-        return pc.cast(values, values.type.value_type)
+        return values.cast(values.type.value_type)
     return values
 
 
@@ -82,7 +81,9 @@ def numbers(where: str, table: pa.Table, name: str) -> Array:
                 hint=_HINT,
                 where=where,
             )
-        array: Array = pc.cast(values, pa.float64(), safe=False).to_numpy()
+        if values.type != pa.float64():
+            values = values.cast(pa.float64(), safe=False)
+        array: Array = values.to_numpy()
     # Some patterns of a damaged NaN raise a warning in every sum that they are in.
     is_missing = np.isnan(array)
     return np.where(is_missing, np.nan, array) if is_missing.any() else array
@@ -180,6 +181,8 @@ def times_of_day(texts: pa.ChunkedArray) -> pa.ChunkedArray | None:
     Hours may have one digit. Texts of more than 24 hours are durations. Raises
     ValueError, with the first text of another form, where there are a few.
     """
+    import pyarrow.compute as pc
+
     parts = pc.extract_regex(texts, _OF_DAY)
     if parts.null_count > len(parts) // 2:
         return None
@@ -249,12 +252,17 @@ def _from_counts(
     """Return exact stamps [ns] (M,) by counts of a unit, and which are usable."""
     with _explained(where, name):
         values = column(table, name)
-        is_missing = pc.is_null(values).to_numpy()
         if not pa.types.is_integer(values.type):
             # A calendar time is a count of its own width.
             width = pa.int32() if values.type.bit_width == 32 else pa.int64()
-            values = pc.cast(values, width)
-        counts = pc.fill_null(pc.cast(values, pa.int64()), 0).to_numpy()
+            values = values.cast(width)
+        if values.type != pa.int64():
+            values = values.cast(pa.int64())
+        is_missing = np.zeros(len(values), dtype=np.bool_)
+        if values.null_count:
+            is_missing = values.is_null().to_numpy()
+            values = values.fill_null(0)
+        counts = values.to_numpy()
     limit = STAMP_LIMIT_NS // ns_per_unit
     is_usable = ~is_missing & (counts > -limit) & (counts < limit)
     return np.where(is_usable, counts, 0) * ns_per_unit, is_usable

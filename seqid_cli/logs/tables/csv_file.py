@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
 from seqid_cli.errors import InputError
@@ -124,7 +123,7 @@ class CsvTable(TableFile):
 
     def _require_same_names(self, table: pa.Table, name: str) -> None:
         """Raise InputError where a column of joints' names has others in some rows."""
-        names = pc.unique(table.column(name)).drop_null().to_pylist()
+        names = table.column(name).unique().drop_null().to_pylist()
         if len(names) > 1:
             listed = ", ".join(repr(each[:_SHOWN]) for each in names[:2])
             raise InputError(
@@ -154,6 +153,8 @@ class CsvTable(TableFile):
 
         Raises InputError for a list of another length, or of something else.
         """
+        import pyarrow.compute as pc
+
         length = self.form.lists[name]
         cells = pc.utf8_trim(table.column(name), characters=LIST_BRACKETS)
         cells = pc.replace_substring_regex(cells, r"(?i)\b(?:null|none)\b", "nan")

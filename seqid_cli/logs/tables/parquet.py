@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from seqid_cli.being_read import being_read
@@ -119,6 +118,8 @@ class ParquetTable(TableFile):
 
     def _matrix(self, table: pa.Table, name: str) -> Array:
         """Return a list column as (M, length), rows without a list as NaN."""
+        import pyarrow.compute as pc
+
         length = self.lists[name]
         try:
             column = table.column(name).combine_chunks()

@@ -17,6 +17,8 @@ SHELL := /bin/bash
 
 # One thread of BLAS: results repeat to the last bit, and workers do not compete for cores.
 export OPENBLAS_NUM_THREADS ?= 1
+# Bytecode is kept: without it each of many commands compiles the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := $(VENV)/bin
 RUN := $(VENV)/.installed

@@ -141,7 +141,7 @@ def inspect_log(
         A log that cannot be read has the finding `unreadable`.
     """
     try:
-        contents = contents_of(path)
+        contents = contents_of(path, glance=True)
     except InputError as error:
         return _unreadable(path, error)
 
@@ -166,19 +166,18 @@ def inspect_log(
     # The log says more of itself than that it does not fit the robot file: without one,
     # or where it does not fit, joints are guessed.
     if inspected is None:
-        guessed = guess(contents, known)
-        findings = [*_topic_findings(contents)]
-        if robot is not None and problem is not None:
-            missing, findings = _why_it_does_not_fit(robot, guessed, problem)
-        try:
-            inspected = _inspect_guessed(reader, contents, guessed, findings)
-        except InputError as error:
-            of_joints = [finding for finding in findings if finding.joint]
-            inspected = _unreadable(
-                path, problem or error, contents.format, findings=of_joints
-            )
+        misfit = None if robot is None or problem is None else (robot, problem)
+        missing, inspected = _by_guess(reader, contents, known, misfit)
+        if not contents.complete and not _knows_all(contents, inspected):
+            contents = contents_of(path)
+            missing, inspected = _by_guess(reader, contents, known, misfit)
     log = structs.replace(inspected.log, channels=names, missing=missing)
     return inspected._replace(log=log)
+
+
+def _knows_all(contents: LogContents, inspected: Inspected) -> bool:
+    """Return whether a log has no other joints than those that its contents name."""
+    return bool(inspected.names) and inspected.names <= set(contents.joints)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,6 +205,7 @@ class _Reader:
         """
         gathered = Gathered(robot=robot, modelled=modelled)
         first_stamp_ns = None
+        names: tuple[str, ...] = ()
         log = LogFile.at(self.path, reading=self.reading)
         for recording, raw in read_parts(log, robot, failed=gathered.failed):
             data = LogData(
@@ -219,8 +219,11 @@ class _Reader:
             if first_stamp_ns is None:
                 first_stamp_ns = int(data.joints.stamp_ns[0])
             gathered.push(data)
+            names = raw.names
             del recording, raw, data  # they are large, and the next ones come
-        return gathered.log(self.path, self.form, findings)
+        inspected = gathered.log(self.path, self.form, findings)
+        # Of parts of no use the names are not known.
+        return inspected._replace(names=frozenset(() if gathered.lost else names))
 
 
 def _of_joints_left_out(
@@ -251,6 +254,47 @@ def _why_it_does_not_fit(
     if problem.hint:
         findings = [structs.replace(f, remedy=problem.hint) for f in findings]
     return missing, findings
+
+
+def _by_guess(
+    reader: _Reader,
+    contents: LogContents,
+    known: Known,
+    misfit: tuple[Robot, InputError] | None,
+) -> tuple[dict[str, str], Inspected]:
+    """Inspect a log by joints that are guessed.
+
+    Parameters
+    ----------
+    reader : _Reader
+    contents : LogContents
+    known : Known
+        What is known of the robot.
+    misfit : (Robot, InputError), optional
+        A robot that the log does not fit, and why.
+
+    Returns
+    -------
+    missing : dict of str to str
+        Joints of that robot which the log lacks, with the nearest names.
+    inspected : Inspected
+    """
+    guessed = guess(contents, known)
+    missing: dict[str, str] = {}
+    findings = [*_topic_findings(contents)]
+    if misfit is not None:
+        robot, problem = misfit
+        missing, findings = _why_it_does_not_fit(robot, guessed, problem)
+    try:
+        return missing, _inspect_guessed(reader, contents, guessed, findings)
+    except InputError as error:
+        of_joints = [finding for finding in findings if finding.joint]
+        return missing, _unreadable(
+            reader.path,
+            error if misfit is None else misfit[1],
+            contents.format,
+            findings=of_joints,
+        )
 
 
 def _inspect_guessed(

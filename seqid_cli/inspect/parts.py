@@ -41,6 +41,9 @@ class Inspected(NamedTuple):
     log: InspectedLog
     findings: tuple[InspectionFinding, ...]
     stamps_s: tuple[float, float] | None = None
+    names: frozenset[str] = (
+        frozenset()
+    )  # in the messages of all parts, if they are told
 
 
 @dataclass(kw_only=True)

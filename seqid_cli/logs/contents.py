@@ -24,15 +24,19 @@ class LogContents:
     columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
     # that may carry joint states, where none does for sure; the first has `joints`
     state_topics: tuple[str, ...] = ()
+    complete: bool = True  # whether all joint states were looked at for their names
 
 
-def contents_of(path: Path) -> LogContents:
-    """Look through a log; raises InputError if it is none or cannot be read at all."""
+def contents_of(path: Path, *, glance: bool = False) -> LogContents:
+    """Look through a log; raises InputError if it is none or cannot be read at all.
+
+    At a `glance` joints are those of the first messages alone, where that can be.
+    """
     with being_read(path):
-        return _contents_of(LogFile.at(path))
+        return _contents_of(LogFile.at(path), glance=glance)
 
 
-def _contents_of(log: LogFile) -> LogContents:
+def _contents_of(log: LogFile, *, glance: bool) -> LogContents:
     kind = log.format
     file = log.file
     if kind == "parquet":
@@ -62,12 +66,13 @@ def _contents_of(log: LogFile) -> LogContents:
         from seqid_cli.logs.mcap.reader import list_topics
     else:
         from seqid_cli.logs.mcap.rosbags import list_topics
-    contents = list_topics(file)
+    contents = list_topics(file, glance=glance)
     return LogContents(
         format=kind,
         channels=tuple(topic.topic for topic in contents.topics),
         joints=contents.joints,
         state_topics=contents.state_topics,
+        complete=contents.complete,
     )
 
 

@@ -73,6 +73,8 @@ class RawLog:
     # commands with stamps of their own; others are channels of `joints`
     commands: tuple[Stream, ...] = ()
     prefer_current: bool = False  # current gives the torque, even beside a torque
+    # names in the messages of joint states so far, the robot's or not
+    names: tuple[str, ...] = ()
     # stamps between which samples are left out because a user said so [ns]
     cuts_ns: tuple[tuple[int, int], ...] = ()
 

@@ -125,6 +125,7 @@ def read_blocks(
             partial=log.partial() if is_last else "",
             warnings=tuple(warnings),
             log_minus_header_s=joint_samples.delay_s,
+            names=tuple(names.seen),
         )
 
 
@@ -150,30 +151,49 @@ class FileContents(NamedTuple):
     joints: tuple[str, ...]  # that the joint states name
     # which may carry joint states, where none of them does for sure; the first was read
     state_topics: tuple[str, ...]
+    complete: bool  # whether all joint states were looked at
 
 
-def list_topics(path: Path, *, scan: type[Scan] = Scan) -> FileContents:
+def list_topics(
+    path: Path, *, scan: type[Scan] = Scan, glance: bool = False
+) -> FileContents:
     """List the topics of a file, and the names in its joint states.
 
-    Where no topic is sure to carry them, they are read from the likeliest.
+    Where no topic is sure to carry them, they are read from the likeliest. At a
+    `glance` names are of the first joint states alone, where the file lists its topics:
+    whoever reads the others is to see whether they have more (`RawLog.names`).
     """
-    contents = _list_topics(path, Channels(), scan)
+    contents = _list_topics(path, Channels(), scan, glance=glance)
     if contents.joints:
         return contents
     candidates = state_topics((normal(info.topic), info.schema) for info in contents[0])
     if not candidates:
         return contents
-    likeliest = _list_topics(path, Channels(topic=candidates[0]), scan)
+    channels = Channels(topic=candidates[0])
+    likeliest = _list_topics(path, channels, scan, glance=glance)
     return likeliest._replace(state_topics=tuple(candidates))
 
 
-def _list_topics(path: Path, channels: Channels, scan: type[Scan]) -> FileContents:
+def _list_topics(
+    path: Path,
+    channels: Channels,
+    scan: type[Scan],
+    *,
+    glance: bool,
+    first_messages: int = 2000,
+) -> FileContents:
     names = NameMap(())
     log = _Log(path, names, channels, (), scan, "header")
+    is_complete = True
     for _ in log.batches():
-        log.collectors[log.joint_topic].drain()
+        collector = log.collectors[log.joint_topic]
+        collector.drain()
+        are_many = collector.readable and collector.received >= first_messages
+        if glance and are_many and log.scan.lists_channels:
+            is_complete = False
+            break
     log.collectors[log.joint_topic].drain()
-    return FileContents(_topics(log.scan), tuple(names.seen), ())
+    return FileContents(_topics(log.scan), tuple(names.seen), (), is_complete)
 
 
 class _Log:

@@ -188,6 +188,13 @@ class Scan:
                 return False
         return True
 
+    @property
+    def lists_channels(self) -> bool:
+        """Whether the end of the file names all of its channels."""
+        statistics = self.summary.statistics
+        listed = len(self.summary.channels)
+        return statistics is not None and statistics.channel_count == listed > 0
+
     def _promised(self) -> dict[int, int] | None:
         """Return the messages per channel by the file's statistics, None without."""
         statistics = self.summary.statistics

@@ -72,9 +72,10 @@ def evened(
     limit = _gap_limit(intervals)
     is_gap = intervals > limit
     regular = intervals[~is_gap]
-    is_shared = _other_values_at_one_stamp(stream)
     n_tied = int(np.count_nonzero(intervals == 0.0))
-    n_shared = int(np.count_nonzero(is_shared))
+    n_shared = 0
+    if n_tied:
+        n_shared = int(np.count_nonzero(_other_values_at_one_stamp(stream)))
     if n_tied and n_shared < 0.5 * n_tied:
         return None  # messages that were sent twice, or that complete each other
     shares = n_shared > min_shared * len(stamps)

@@ -232,8 +232,11 @@ def _takes_turns(
     around = np.minimum(largest[:-2], largest[2:])
     around = np.minimum(around, np.minimum(over_two[:-1], over_two[1:]))
 
+    far_changes = np.flatnonzero(largest[1:-1] > np.maximum(least, far * around))
+    if len(far_changes) < 2 * FEWEST:  # most logs end here: their steps are sorted
+        return False
     limits = np.maximum(least, far_steps * _encoder_steps(position))
-    is_far = (change[1:-1] > limits).any(axis=1) & (largest[1:-1] > far * around)
+    is_far = (change[1 + far_changes] > limits).any(axis=1)
     return int(np.count_nonzero(is_far)) >= 2 * FEWEST
 
 

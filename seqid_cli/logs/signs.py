@@ -131,8 +131,10 @@ def sign_bit(
     apart : float
         Multiple of the span of either within which there is no value between them.
     """
+    if not len(values) or values.min() < 0.0:
+        return ""
     levels = np.unique(values)
-    if len(levels) < 4 or levels[0] < 0.0:
+    if len(levels) < 4:
         return ""
     widest = int(np.diff(levels).argmax())
     low = float(levels[widest])

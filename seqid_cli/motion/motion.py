@@ -119,8 +119,6 @@ def estimate_motion(
 ) -> Motion:
     """Filter and differentiate the encoder positions of one log.
 
-    All quantities go through the same filter (Sec. 2.1, parallel filtering).
-
     Parameters
     ----------
     recording : Recording
@@ -137,16 +135,48 @@ def estimate_motion(
     InputError
         No stretch is long enough to filter.
     """
-    rate_hz = recording.rate_hz
-    resolution = encoder_resolution(robot)
-    survey = survey_of_positions(recording.q, rate_hz)
-    cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
-    if recording.sha256 not in options.logs_with_own_cutoff:
-        cutoff = as_asked(cutoff, recording.path, rate_hz, options)
+    cutoff = cutoff_of(recording, robot, options)
+    survey = survey_of_positions(recording.q, recording.rate_hz)
+    step = survey.noise_step(encoder_resolution(robot))
+    moving = moving_mask(recording.q, recording.rate_hz, step)
+    return motion_below(recording, cutoff, moving)
 
-    moving = moving_mask(recording.q, rate_hz, survey.noise_step(resolution))
+
+def cutoff_of(recording: Recording, robot: Robot, options: MotionOptions) -> Cutoff:
+    """Return the cut-off of one log: the one chosen from it, or the one asked for."""
+    rate_hz = recording.rate_hz
+    survey = survey_of_positions(recording.q, rate_hz)
+    resolution = encoder_resolution(robot)
+    cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
+    if recording.sha256 in options.logs_with_own_cutoff:
+        return cutoff
+    return as_asked(cutoff, recording.path, rate_hz, options)
+
+
+def motion_below(recording: Recording, cutoff: Cutoff, moving: Mask) -> Motion:
+    """Filter and differentiate the encoder positions of one log below a cut-off.
+
+    All quantities go through the same filter (Sec. 2.1, parallel filtering).
+
+    Parameters
+    ----------
+    recording : Recording
+    cutoff : Cutoff
+    moving : Mask
+        (N, n), where each joint moves.
+
+    Returns
+    -------
+    Motion
+        At the log's own rate.
+
+    Raises
+    ------
+    InputError
+        No stretch is long enough to filter.
+    """
     motion = filtered_motion(
-        recording.t, recording.q, recording.valid, rate_hz, cutoff, moving
+        recording.t, recording.q, recording.valid, recording.rate_hz, cutoff, moving
     )
     tau, usable = filtered_torque(recording, motion.lowpass)
     return replace(
@@ -211,8 +241,7 @@ def filtered_torque(
         raise too_short(recording.path, lowpass.cutoff_hz)
     if recording.tau is None:
         return None, usable
-    once = lowpass(recording.tau, recording.valid)
-    return lowpass(once, recording.valid), usable
+    return lowpass(recording.tau, recording.valid, times=2), usable
 
 
 def too_short(path: Path, cutoff_hz: float) -> InputError:

@@ -57,7 +57,9 @@ class Stretch:
         return self.stop - self.start
 
 
-def noise_step(q: Array, resolution: Array | None = None) -> Array:
+def noise_step(
+    q: Array, resolution: Array | None = None, *, encoder: Array | None = None
+) -> Array:
     """Return the position changes that count as more than encoder noise.
 
     Parameters
@@ -66,13 +68,17 @@ def noise_step(q: Array, resolution: Array | None = None) -> Array:
         Positions (N, n) rad.
     resolution : Array, optional
         (n,) rad, smallest steps of the encoders; zero where not known.
+    encoder : Array, optional
+        (n,) rad, `encoder_step` of the positions where it is known already.
 
     Returns
     -------
     Array
         (n,) rad.
     """
-    step = np.maximum(encoder_step(q), 0.0 if resolution is None else resolution)
+    if encoder is None:
+        encoder = encoder_step(q)
+    step = np.maximum(encoder, 0.0 if resolution is None else resolution)
     noise = np.where(step > 0, step, 3 * white_noise(q))
     return np.asarray(np.maximum(noise, SMALLEST_STEP))
 

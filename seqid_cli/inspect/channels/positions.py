@@ -11,7 +11,6 @@ from seqid_cli.inspect.channels.values import equal_runs, held, lattice
 from seqid_cli.inspect.findings import finding_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.scales import Scale, angle_scales
-from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.running import median_of_five
@@ -223,12 +222,7 @@ def too_fast(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFi
 
 def top_speed(data: LogData, j: int) -> float:
     """Return the top speed of a joint over 0.1 s, rad/s (m/s)."""
-    recording = data.recording
-    half_width = max(1, round(0.05 * recording.rate_hz))
-    if 2 * half_width + 1 >= len(recording.q):
-        return 0.0
-    velocity = windowed_velocity(recording.q[:, j], recording.rate_hz, half_width)
-    return float(np.abs(velocity).max())
+    return data.top_speed(j)
 
 
 def _damage(

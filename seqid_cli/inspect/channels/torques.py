@@ -4,12 +4,7 @@ from collections.abc import Container, Iterator
 
 import numpy as np
 
-from seqid_cli.inspect.channels.values import (
-    clipped,
-    equal_runs,
-    held,
-    lattice,
-)
+from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice
 from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.weights import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import finding_of
@@ -127,7 +122,8 @@ def _of_channel(
     if bit:
         yield "effort_sign_bit", bit
         return
-    stuck = _stuck(values, t, data.moving_samples(j)[present])
+    moving = data.moving_samples(j)[present]
+    stuck = _stuck(values, t, moving, step=data.lattice(quantity, j))
     if stuck:
         yield "torque_stuck", stuck
         return
@@ -154,11 +150,15 @@ def _spikes(values: Array, settings: ChannelSettings) -> Index:
     max_spikes = 16
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
+    span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
+    least = settings.min_spike_share * span
+    # Most channels end here: the median of five is no farther than two changes.
+    if 2.0 * np.abs(np.diff(values)).max() <= least:
+        return np.zeros(0, dtype=np.intp)
     distance = np.abs(values - median_of_five(values, beyond="edge"))
     # The largest distance that is none of the spikes.
     usual = float(np.partition(distance, len(values) - max_spikes)[-max_spikes - 1])
-    span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    least = max(settings.min_spike_ratio * usual, settings.min_spike_share * span)
+    least = max(settings.min_spike_ratio * usual, least)
     rows: Index = np.flatnonzero(distance > least)
     return rows if len(rows) <= max_spikes else rows[:0]
 
@@ -201,7 +201,7 @@ def torque_quality(
             text = f"repeats each value {group_size} times"
             yield finding_of("channel_held", text, name, quantity)
 
-        step = lattice(values)
+        step = data.lattice(quantity, j)
         spread = float(values[moving].std()) if moving.any() else 0.0
         is_dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
         if step and spread and step > max_step * spread and not is_dithered:
@@ -214,6 +214,7 @@ def _stuck(
     t: Array,
     moving: Mask,
     *,
+    step: float | None = None,
     min_samples: int = 50,
     min_s: float = 0.2,
     max_step: float = 0.1,
@@ -221,11 +222,14 @@ def _stuck(
     """Return where a channel stays at a value while its joint moves; empty: nowhere.
 
     Zero is none: a drive that is let go makes no torque. Nor is a level of a coarse
-    channel, which stays where it is as long as the torque changes by less.
+    channel, which stays where it is as long as the torque changes by less. `step` is
+    its lattice, where that is known already.
     """
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway
-    is_coarse = lattice(values) > max_step * float(np.std(values[moving]))
+    if step is None:
+        step = lattice(values)
+    is_coarse = step > max_step * float(np.std(values[moving]))
     if is_coarse:
         return ""
     for start, stop in equal_runs(values, min_samples):

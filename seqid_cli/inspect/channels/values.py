@@ -145,7 +145,7 @@ def missing(
         Share of the values that may be missing.
     """
     present = np.flatnonzero(np.isfinite(values))
-    if len(present) < 2:
+    if len(present) < 2 or len(present) == len(values):
         return
     usual_distance = int(np.bincount(np.diff(present)).argmax())
     covered = (len(present) - 1) * usual_distance

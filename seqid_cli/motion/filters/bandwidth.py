@@ -123,18 +123,75 @@ def encoder_step(q: Array) -> Array:
 
 def step_of(position: Array) -> float:
     """Return the smallest step of a joint's position (N,); zero if not quantised."""
-    steps = np.diff(np.unique(np.round(position, 10)))
+    if is_continuous(position):
+        return 0.0
+    return step_between(np.unique(np.round(position, 10)))
+
+
+def is_continuous(
+    position: Array, *, window: int = 8192, min_levels: int = 2048, min_steps: int = 16
+) -> bool:
+    """Return whether a position (N,) has no steps, by what is within a few windows.
+
+    Those are windows of its value, of about so many samples each. All samples within
+    one are there, so that its smallest steps show as they do in all of the position,
+    which takes much longer to sort. False where a window does not tell.
+    """
+    if len(position) < 4 * window:
+        return False
+    some = np.sort(position[:: len(position) // 1024])
+    reach = round(0.5 * window / len(position) * len(some))
+    for middle in (len(some) // 3, 2 * len(some) // 3):
+        low = some[middle - reach]
+        high = some[middle + reach]
+        inside = position[(position >= low) & (position <= high)]
+        levels = np.unique(np.round(inside, 10))
+        if len(levels) < min_levels:
+            return False
+        smallest = _Smallest.of(levels)
+        if len(smallest.counts) < min_steps or smallest.are_multiples:
+            return False
+    return True
+
+
+def step_between(levels: Array) -> float:
+    """Return the smallest step of a position with some levels (L,), in their order.
+
+    Zero where the steps between them are no multiples of one.
+    """
+    steps = np.diff(levels)
     steps = steps[steps > 1e-9]
     if len(steps) < 3:
         return float(steps.min()) if len(steps) else 0.0
-    smallest = float(np.median(steps[steps < 1.5 * steps.min()]))
+    smallest = _Smallest.of(levels)
+    are_many = len(smallest.counts) > 0.3 * len(steps)
+    return smallest.step if smallest.are_multiples and are_many else 0.0
 
-    # Noise that is not quantised also has a smallest step, but its other steps are no
-    # multiples of that.
-    counts = steps[steps < 20 * smallest] / smallest
-    are_multiples = np.mean(np.abs(counts - np.round(counts)) < 0.1) > 0.9
-    are_many = len(counts) > 0.3 * len(steps)
-    return smallest if are_multiples and are_many else 0.0
+
+@dataclass(frozen=True, kw_only=True)
+class _Smallest:
+    """The smallest step between levels, and `counts` of it in the other small ones.
+
+    Noise that is not quantised also has a smallest step, but its other steps are no
+    multiples of that.
+    """
+
+    step: float
+    counts: Array
+
+    @classmethod
+    def of(cls, levels: Array) -> "_Smallest":
+        """Look at levels (L,), in their order, of which three are apart or more."""
+        steps = np.diff(levels)
+        steps = steps[steps > 1e-9]
+        smallest = float(np.median(steps[steps < 1.5 * steps.min()]))
+        return cls(step=smallest, counts=steps[steps < 20 * smallest] / smallest)
+
+    @property
+    def are_multiples(self) -> bool:
+        """Whether nearly all small steps are whole numbers of the smallest."""
+        off = np.abs(self.counts - np.round(self.counts))
+        return bool(np.mean(off < 0.1) > 0.9)
 
 
 @dataclass(frozen=True, kw_only=True)

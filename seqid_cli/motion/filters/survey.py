@@ -95,6 +95,8 @@ class Survey:
     def __init__(self, n: int, rate_hz: float, samples: int) -> None:
         self.rate_hz = rate_hz
         self._levels: list[Array] = [np.zeros(0) for _ in range(n)]
+        self._is_continuous = np.zeros(n, dtype=np.bool_)
+        self._encoder_step: Array | None = None
         self._fourth = Thinned(MOST_LEVELS)
         lengths = _lengths(rate_hz, samples)
         if lengths.second < 1:
@@ -121,8 +123,12 @@ class Survey:
 
         Travel is looked at `steps` times in half a time scale.
         """
+        self._encoder_step = None
         for j, levels in enumerate(self._levels):
-            if len(levels) <= MOST_LEVELS:
+            if len(levels) > MOST_LEVELS or self._is_continuous[j]:
+                continue
+            self._is_continuous[j] = bandwidth.is_continuous(q[:, j])
+            if not self._is_continuous[j]:
                 values = np.round(q[:, j], 10)
                 values = values[np.diff(values, prepend=np.nan) != 0]
                 self._levels[j] = np.unique(np.concatenate([levels, values]))
@@ -167,7 +173,10 @@ class Survey:
 
     def encoder_step(self) -> Array:
         """Return the smallest steps (n,) rad of positions; zero if not quantised."""
-        return np.array([bandwidth.step_of(levels) for levels in self._levels])
+        if self._encoder_step is None:
+            steps = [bandwidth.step_between(levels) for levels in self._levels]
+            self._encoder_step = np.where(self._is_continuous, 0.0, steps)
+        return self._encoder_step
 
     def count(self, resolution: Array) -> Array:
         """Return the encoder steps (n,) rad of the robot file, or else of positions."""

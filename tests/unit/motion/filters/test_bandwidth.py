@@ -5,7 +5,12 @@ quantisation.
 import numpy as np
 import pytest
 
-from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.filters.bandwidth import (
+    Cutoff,
+    is_continuous,
+    step_between,
+    step_of,
+)
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.filters.survey import Survey
@@ -123,3 +128,17 @@ def test_noise_shares_are_those_of_the_worst_joint() -> None:
     by_joint = score.shares.acceleration_noise / score.shares.acceleration
     np.testing.assert_allclose(worst, by_joint[1], rtol=0.2)
     assert worst[2] == pytest.approx(32.0 * worst[1], rel=0.1)
+
+
+@pytest.mark.parametrize("step", [0.0, 3e-7, 1e-5, 1e-3])
+def test_steps_of_a_long_log_are_those_of_all_samples(step: float) -> None:
+    """A few windows of its values tell that it has none."""
+    rng = np.random.default_rng(2)
+    t = np.arange(100_000) * 1e-3
+    position = np.sin(t) + 1e-4 * rng.normal(size=len(t))
+    if step:
+        position = step * np.round(position / step)
+    by_all = step_between(np.unique(np.round(position, 10)))
+    assert is_continuous(position) == (by_all == 0.0)
+    assert step_of(position) == by_all
+    assert by_all == pytest.approx(step, rel=1e-3)

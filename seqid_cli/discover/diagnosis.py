@@ -550,7 +550,7 @@ def telling_function(functions: Sequence[ScoredTerm]) -> SmoothFunction | None:
     best = max(functions, key=lambda each: each.score.total)
     telling = [best] if best.score.share >= GOOD_PART else []
     for other in functions:
-        lag = best.score.block_gains - other.score.block_gains
+        lag = best.score.part_gains - other.score.part_gains
         if _is_of_time(other.term) and doubt_of(lag) > Options.alpha:
             telling.append(other)
     if not telling:

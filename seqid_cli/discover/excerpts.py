@@ -26,7 +26,7 @@ import numpy as np
 
 from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey import events
-from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
+from seqid_cli.discover.survey.repeats import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions

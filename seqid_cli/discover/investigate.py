@@ -145,9 +145,9 @@ class Investigation:
     def forget_search(self) -> None:
         """Let go of what the search has worked out: what follows needs the room."""
         self.ground.forget_search()
-        self.model.linear.forget_blocks()
+        self.model.linear.forget_parts()
         for result in self.selection.terms:
-            result.model.linear.forget_blocks()
+            result.model.linear.forget_parts()
 
     @property
     def ground(self) -> SelectionProblem:

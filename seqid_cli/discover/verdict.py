@@ -135,19 +135,14 @@ def predicted_better(investigation: Investigation, joint: int) -> bool:
 
 
 def _squares(investigation: Investigation, joint: int) -> tuple[Array, Array]:
-    """Return squared errors (blocks,) of the model and of the file.
+    """Return squared errors (parts,) of the model and of the file.
 
-    The model's are on blocks that it was not fitted to.
+    The model's are on parts that it was not fitted to.
     """
     rows = investigation.ground.rows
-    block = rows.block[joint]
-
-    def by_block(residual: Array) -> Array:
-        squares = np.bincount(block, residual**2, minlength=rows.blocks)
-        return np.asarray(squares, dtype=float)
-
     left_out = investigation.model.linear.left_out[joint]
-    return by_block(left_out), by_block(investigation.ground.base.y[joint])
+    of_file = investigation.ground.base.y[joint]
+    return rows.by_part(joint, left_out**2), rows.by_part(joint, of_file**2)
 
 
 def verdict_of(

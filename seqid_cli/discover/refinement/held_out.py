@@ -28,7 +28,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from seqid_cli.discover.select.rows import doubt_of
-from seqid_cli.discover.survey.rows import BLOCK_S, MOST_OUTSIDE
+from seqid_cli.discover.survey.repeats import BLOCK_S
+from seqid_cli.discover.survey.rows import MOST_OUTSIDE
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import local_effects, predict

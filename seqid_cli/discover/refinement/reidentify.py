@@ -308,7 +308,7 @@ def refitted(
         with_effects = replace(
             bare, effects=(*_fitted_effects(material, fit), *smooth_terms)
         )
-        fit.linear.forget_blocks()
+        fit.linear.forget_parts()
         bare = replace(bare, stages=_stages(material, with_effects, fit))
         unabsorbed = [replace(effect, absorbed="") for effect in fit.candidates]
         fit = Model(material.ground(bare), FREE, unabsorbed)

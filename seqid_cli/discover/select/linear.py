@@ -1,4 +1,4 @@
-"""A Gaussian linear model of all rows, its evidence, and scores on left-out blocks.
+"""A Gaussian linear model of all rows, its evidence, and scores on left-out parts.
 
 Rows y of a channel (a joint's torque below the cut-off, or above it) are
 
@@ -10,9 +10,10 @@ raises the log evidence by
     E = d' (Q + D)^-1 d / 2 - log det(I + Q^-1 D) / 2,
     D = X'wX - X'wB M^-1 B'wX,   d = X'w (y - B M^-1 B'wy),   M = P + B'wB,
 
-and the log density that all other blocks predict for block b by E - E without b. All of
-it follows from products block by block: no fit is repeated. What a parameter file says
-of the base is a block as well: a base that is free enough takes up a constant effect at
+and the log density that all other parts predict for part b by E - E without b. A part
+is a block of time, or all blocks of the same stretch of a motion that comes again. All
+of it follows from products part by part: no fit is repeated. What a parameter file says
+of the base is a part as well: a base that is free enough takes up a constant effect at
 the price of leaving the file, and E - E without the file is what the term saves of it.
 Of an effect that was there when the file was identified the file has R a in its base:
 theta + R a ~ N(0, P^-1) then, which couples the two.
@@ -23,9 +24,9 @@ they are eliminated from the products of their log: with G = V + S'wS
 
     A - B'wS G^-1 S'wB,   b - B'wS G^-1 S'wy,   and C, d, D likewise
 
-are products of the same kind, and what follows has the size of what all logs share. A
-block that is left out takes its part from G as well: what it is worth is the difference
-of its log's products with and without it.
+are products of the same kind, and what follows has the size of what all logs share.
+Blocks that are left out take their share from G as well: what they are worth is the
+difference of their logs' products with and without them.
 
 In the code A is B'wB, b is B'wy and C is B'wX. In shapes, p is the number of parameters
 theta, m that of the columns of all terms that are tried together, k that of one term, s
@@ -191,11 +192,11 @@ class _OwnColumns:
         return np.asarray(np.linalg.solve(upper, left[..., None])[..., 0])
 
 
-class _WithoutBlock(NamedTuple):
-    """The fit to all other blocks; by channel, the own columns of the block's log."""
+class _WithoutPart(NamedTuple):
+    """The fit to all other parts, and own columns by channel and log of the part."""
 
     solution: _Solution
-    eliminated: dict[int, _Eliminated]
+    eliminated: dict[tuple[int, int], _Eliminated]
 
 
 class LinearModel:
@@ -463,50 +464,55 @@ class LinearModel:
         return self._fit(self._precision, self.sums[1])
 
     @cached_property
-    def _without_block(self) -> list[_WithoutBlock]:
-        """The fit without each block."""
-        return [
-            self._without_rows(self.rows.log[block], block_rows)
-            for block, block_rows in enumerate(
-                zip(*self.rows.block_slices, strict=True)
-            )
-        ]
+    def _without_part(self) -> list[_WithoutPart]:
+        """The fit without each part."""
+        return [self._without_blocks(blocks) for blocks in self.rows.blocks_of_part]
 
-    def forget_blocks(self) -> None:
-        """Let go of the fits without each block, which take most of the room.
+    def forget_parts(self) -> None:
+        """Let go of the fits without each part, which take most of the room.
 
         They are worked out again if they are asked for.
         """
-        self.__dict__.pop("_without_block", None)
+        self.__dict__.pop("_without_part", None)
 
-    def _without_rows(self, log: int, rows: Sequence[slice]) -> _WithoutBlock:
-        """Return the fit without some rows of every channel, all of one log."""
+    def _without_blocks(self, blocks: Index) -> _WithoutPart:
+        """Return the fit without the rows of some blocks."""
         precision = self._precision.copy()
         b = self.sums[1].copy()
-        eliminated: dict[int, _Eliminated] = {}
-        for channel, at in enumerate(rows):
-            columns = self._columns[channel]
+        eliminated: dict[tuple[int, int], _Eliminated] = {}
+        for channel, columns in enumerate(self._columns):
             own = self._own[channel]
             # Above a cut-off a base has no columns.
-            is_empty = not len(columns.index) and own is None
-            if is_empty or at.stop == at.start:
+            if not len(columns.index) and own is None:
                 continue
-            base, own_columns = self._scaled(channel, at)
-            y = self._scaled_y[channel][at]
-            change = -(base.T @ base)
-            b[columns.index] -= base.T @ y
+
+            change = np.zeros((len(columns.index), len(columns.index)))
+            products_of_log: dict[int, Array] = {}
+            for block in blocks:
+                at = self.rows.block_slices[channel][block]
+                if at.stop == at.start:
+                    continue
+                base, own_columns = self._scaled(channel, at)
+                y = self._scaled_y[channel][at]
+                change -= base.T @ base
+                b[columns.index] -= base.T @ y
+                if own is not None:
+                    log = int(self.rows.log[block])
+                    products = self._own_products(base, own_columns, y)
+                    products_of_log[log] = products + products_of_log.get(log, 0.0)
 
             if own is not None and columns.of_log is not None:
-                products = own.products[log] - self._own_products(base, own_columns, y)
-                others = _OwnColumns.of(products[None], columns.of_log.precision)
-                without = others.of_log(0)
-                of_log = own.of_log(log)
-                change += of_log.base.T @ of_log.base - without.base.T @ without.base
-                b[columns.index] += of_log.base.T @ of_log.y
-                b[columns.index] -= without.base.T @ without.y
-                eliminated[channel] = without
+                for log, products in products_of_log.items():
+                    others = (own.products[log] - products)[None]
+                    without = _OwnColumns.of(others, columns.of_log.precision).of_log(0)
+                    of_log = own.of_log(log)
+                    change += of_log.base.T @ of_log.base
+                    change -= without.base.T @ without.base
+                    b[columns.index] += of_log.base.T @ of_log.y
+                    b[columns.index] -= without.base.T @ without.y
+                    eliminated[channel, log] = without
             self._change(precision, channel, change)
-        return _WithoutBlock(self._fit(precision, b), eliminated)
+        return _WithoutPart(self._fit(precision, b), eliminated)
 
     def _change(self, precision: Arrow, channel: int, change: Array) -> None:
         """Change the scaled M by products (p_c, p_c) of one channel."""
@@ -540,8 +546,8 @@ class LinearModel:
         )
 
     def jackknife(self, at: slice) -> Array:
-        """Return the covariance (k, k) of some of `theta` by leaving out each block."""
-        values = np.array([fit.solution.theta[at] for fit in self._without_block])
+        """Return the covariance (k, k) of some of `theta` by leaving out each part."""
+        values = np.array([fit.solution.theta[at] for fit in self._without_part])
         deviation = values - values.mean(axis=0)
         return np.asarray((1.0 - 1.0 / len(values)) * deviation.T @ deviation)
 
@@ -594,19 +600,15 @@ class LinearModel:
 
     @cached_property
     def left_out(self) -> list[Array]:
-        """What is left (M_c,) N m of every block by a fit to all others, by channel."""
+        """What is left (M_c,) N m of every part by a fit to all others, by channel."""
         by_channel = []
-        for channel, block_rows in enumerate(self.rows.block_slices):
-            parts = [
-                self._left(
-                    channel,
-                    rows,
-                    fit.solution.theta,
-                    fit.eliminated.get(channel),
-                )
-                for rows, fit in zip(block_rows, self._without_block, strict=True)
-            ]
-            by_channel.append(np.concatenate(parts))
+        for channel, slices in enumerate(self.rows.block_slices):
+            left = np.empty_like(self.rows.y[channel])
+            for block, at in enumerate(slices):
+                fit = self._without_part[self.rows.part[block]]
+                own = fit.eliminated.get((channel, int(self.rows.log[block])))
+                left[at] = self._left(channel, at, fit.solution.theta, own)
+            by_channel.append(left)
         return by_channel
 
     def left_out_of(self, group_of_log: Index) -> list[Array]:
@@ -704,8 +706,8 @@ class LinearModel:
 
         log_factor = log_bayes_factor(self._all_rows)
         log_factor_without_file = log_bayes_factor(self._without_file)
-        without_block = np.array(
-            [log_bayes_factor(fit.solution) for fit in self._without_block]
+        without_part = np.array(
+            [log_bayes_factor(fit.solution) for fit in self._without_part]
         )
 
         a, S = estimate(self._all_rows)
@@ -718,14 +720,14 @@ class LinearModel:
             visible_share=max(float(unexplained / square), 0.0),
         )
         score = Score(
-            block_gains=log_factor - without_block,
+            part_gains=log_factor - without_part,
             rows=self._independent_rows(part),
             file_gain=log_factor - log_factor_without_file,
         )
         return fit, score
 
     def _independent_rows(self, part: ColumnGroup) -> Array:
-        """Return the number (blocks,) of independent rows at a group's channels."""
+        """Return the number (parts,) of independent rows at a group's channels."""
         return np.asarray(self.rows.independent[sorted(part.columns)].sum(axis=0))
 
     def varied(self, part: ColumnGroup, *, spread: float = 0.3) -> float:
@@ -775,38 +777,38 @@ class LinearModel:
         """Fit each term by itself beside the model."""
         fits: list[TermFit] = []
         for first in range(0, len(terms), BATCH):
-            crossed = self._crossed(terms[first : first + BATCH], by_block=False)
+            crossed = self._crossed(terms[first : first + BATCH], by_part=False)
             with_file = self._coupled_products(crossed)
             fits += self._fits_beside(self._all_rows, crossed, with_file)
         return fits
 
     def scores(self, terms: Sequence[ColumnGroup]) -> list[Score]:
-        """Score each term by itself on every block, all fitted to the other blocks."""
+        """Score each term by itself on every part, all fitted to the other parts."""
         if not terms:
             return []
 
-        crossed = self._crossed(terms, by_block=True)
+        crossed = self._crossed(terms, by_part=True)
         with_file = self._coupled_products(crossed)
         without_file = self._coupled_products(crossed, file=False)
         fits = self._fits_beside(self._all_rows, crossed, with_file)
         fits_without_file = self._fits_beside(self._without_file, crossed, without_file)
 
-        # What the base, fitted without a block, explains of columns and of rows.
+        # What the base, fitted without a part, explains of columns and of rows.
         explained = [np.empty_like(D) for D in crossed.D]
         residual_product = np.empty_like(crossed.d)
         d = crossed.total.d
-        for block, fit in enumerate(self._without_block):
+        for part, fit in enumerate(self._without_part):
             factor, theta = fit.solution
-            C = with_file.C - crossed.C[block]
+            C = with_file.C - crossed.C[part]
             Z = self._halved(factor, C)
-            residual_product[block] = d - crossed.d[block] - C.T @ theta
+            residual_product[part] = d - crossed.d[part] - C.T @ theta
             for of_term, at in zip(explained, crossed.where, strict=True):
-                of_term[block] = Z[:, at].T @ Z[:, at]
+                of_term[part] = Z[:, at].T @ Z[:, at]
 
         scores = []
         for number, term in enumerate(crossed.terms):
             at = crossed.where[number]
-            without_block = algebra.bayes_factor(
+            without_part = algebra.bayes_factor(
                 with_file.D[number] - crossed.D[number] - explained[number],
                 residual_product[:, at],
                 term.precision,
@@ -814,7 +816,7 @@ class LinearModel:
             log_factor = fits[number].log_bayes_factor
             scores.append(
                 Score(
-                    block_gains=log_factor - without_block.log_factor,
+                    part_gains=log_factor - without_part.log_factor,
                     rows=self._independent_rows(term),
                     file_gain=log_factor - fits_without_file[number].log_bayes_factor,
                 )
@@ -822,7 +824,7 @@ class LinearModel:
         return scores
 
     def _coupled_products(self, crossed: _Crossed, *, file: bool = True) -> _Products:
-        """Return the products of all blocks and of what is held to the file.
+        """Return the products of all parts and of what is held to the file.
 
         Without `file` what the parameter file says is left out.
         """
@@ -874,23 +876,27 @@ class LinearModel:
                 )
         return [fit_of[number] for number in range(len(crossed.terms))]
 
-    def _crossed(self, terms: Sequence[ColumnGroup], *, by_block: bool) -> _Crossed:
+    def _crossed(self, terms: Sequence[ColumnGroup], *, by_part: bool) -> _Crossed:
         """Return products of terms with all else, the logs' own columns out.
 
         Terms with the same columns share their products: these take most of the time.
-        What each block is worth takes room, and is left out unless asked for.
+        What each part is worth takes room, and is left out unless asked for.
         """
         where = _slices(term.size for term in terms)
         n_columns = where[-1].stop
-        n_blocks = self.rows.blocks if by_block else 0
-        C = np.zeros((n_blocks, self.size, n_columns))
-        d = np.zeros((n_blocks, n_columns))
-        D = [np.zeros((n_blocks, term.size, term.size)) for term in terms]
+        n_parts = self.rows.parts if by_part else 0
+        C = np.zeros((n_parts, self.size, n_columns))
+        d = np.zeros((n_parts, n_columns))
+        D = [np.zeros((n_parts, term.size, term.size)) for term in terms]
         total = _Total(
             C=np.zeros((self.size, n_columns)),
             d=np.zeros(n_columns),
             D=[np.zeros((term.size, term.size)) for term in terms],
         )
+        of_parts = [
+            _Total(C=C[part], d=d[part], D=[of_term[part] for of_term in D])
+            for part in range(n_parts)
+        ]
 
         # The first of the terms with the same columns, for every term.
         first_of = dict[tuple[int, ...], int]()
@@ -906,54 +912,53 @@ class LinearModel:
             for i in present:
                 of_term = np.arange(where[i].start, where[i].stop)
                 places.append(of_term[terms[i].at(channel)])
-            columns = np.concatenate(places)
-            logs = self.rows.log_slices[channel]
-
             place = _Place(
                 base=base.index,
-                columns=columns,
+                columns=np.concatenate(places),
                 terms=present,
                 inside=[terms[i].at(channel) for i in present],
             )
 
+            logs = self.rows.log_slices[channel]
             every_row = slice(0, len(self.rows.y[channel]))
-            parts = [self._term_products(channel, groups, every_row, logs)]
-            if by_block:
-                parts = [
+            if by_part:
+                by_block = [
                     self._term_products(channel, groups, rows, [rows])
                     for rows in self.rows.block_slices[channel]
                 ]
-            for part in parts:
-                place.add(part, total)
-            of_blocks = [
-                _Total(C=C[block], d=d[block], D=[of_term[block] for of_term in D])
-                for block in range(n_blocks)
-            ]
-            for part, of_block in zip(parts, of_blocks, strict=by_block):
-                place.add(part, of_block)
+                for part, of_block in zip(self.rows.part, by_block, strict=True):
+                    place.add(of_block, total)
+                    place.add(of_block, of_parts[part])
+            else:
+                by_block = [self._term_products(channel, groups, every_row, logs)]
+                place.add(by_block[0], total)
 
             own = self._own[channel]
             if own is None:
                 continue
-            own_products = parts[0].own
-            if by_block:
-                own_products = np.zeros((len(logs), *parts[0].own.shape[1:]))
-                np.add.at(own_products, self.rows.log, [part.own[0] for part in parts])
-            sizes = [len(of_term) for of_term in parts[0].D]
+            own_products = by_block[0].own
+            if by_part:
+                own_products = np.zeros((len(logs), *own_products.shape[1:]))
+                of_blocks = [of_block.own[0] for of_block in by_block]
+                np.add.at(own_products, self.rows.log, of_blocks)
+            sizes = [len(of_term) for of_term in by_block[0].D]
             halved = np.asarray(np.linalg.solve(own.root, own_products))
             place.add(_explained(own.base, own.y, halved, sizes), total)
 
-            # A block takes its part from its log's own columns as well.
-            for block, of_block in enumerate(of_blocks):
-                others = self._without_block[block].eliminated.get(channel)
-                if others is None:
-                    continue  # without rows here
-                log = self.rows.log[block]
-                by_all = _explained(own.base[log], own.y[log], halved[log], sizes)
-                of_others = others.halved(own_products[log] - parts[block].own[0])
-                by_others = _explained(others.base, others.y, of_others, sizes)
-                place.add(by_all, of_block)
-                place.add(by_others.negated, of_block)
+            # A part takes its share from its logs' own columns as well.
+            for part, of_part in enumerate(of_parts):
+                blocks = self.rows.blocks_of_part[part]
+                for log in np.unique(self.rows.log[blocks]).tolist():
+                    others = self._without_part[part].eliminated.get((channel, log))
+                    if others is None:
+                        continue  # without rows here
+                    in_log = blocks[self.rows.log[blocks] == log]
+                    own_of_part = sum(by_block[block].own[0] for block in in_log)
+                    by_all = _explained(own.base[log], own.y[log], halved[log], sizes)
+                    of_others = others.halved(own_products[log] - own_of_part)
+                    by_others = _explained(others.base, others.y, of_others, sizes)
+                    place.add(by_all, of_part)
+                    place.add(by_others.negated, of_part)
 
         for i, first in enumerate(original):
             if i != first:
@@ -1096,19 +1101,19 @@ class _Products(NamedTuple):
 class _Crossed:
     """Products of terms with the model's columns, the rows and themselves.
 
-    Those of a block are what all rows have more than all other blocks.
+    Those of a part are what all rows have more than all other parts.
     """
 
     terms: Sequence[ColumnGroup]
     where: list[slice]
-    C: Array  # (blocks, p, m)
-    d: Array  # (blocks, m)
-    D: list[Array]  # (blocks, k, k) of each term
+    C: Array  # (parts, p, m)
+    d: Array  # (parts, m)
+    D: list[Array]  # (parts, k, k) of each term
     total: _Total
 
 
 class _Total(NamedTuple):
-    """Products C (p, m), d (m,), and D (k, k) of each term, of all blocks."""
+    """Products C (p, m), d (m,), and D (k, k) of each term, of all parts."""
 
     C: Array
     d: Array

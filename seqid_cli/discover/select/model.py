@@ -185,6 +185,7 @@ class SelectionProblem:
             blocks=len(kept_rows.fold),
             views=tuple(_views(channel, n, stage.drive) for channel in range(len(y))),
             log_of_block=kept_rows.log_of_block,
+            part_of_block=kept_rows.group,
         )
         rms_left = [
             np.sqrt(np.mean(of_channel**2)) if len(of_channel) else 1.0

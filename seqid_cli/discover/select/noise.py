@@ -6,6 +6,11 @@ distribution (K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical
 modeling using the t distribution", JASA 84, 1989): (nu + 1) / (nu + m), m their mean
 square in units of the noise. Rows of low-passed signals tell partly the same: `ALIKE`
 of them count as one.
+
+Where a motion comes again, so does what the model has wrong of it, and that is no more
+sure for being seen again. Of R times that are of variance s^2 each, of which a share
+rho comes again, the mean has the variance (1 + (R - 1) rho) s^2 / R: each of them
+counts that much less.
 """
 
 from collections.abc import Sequence
@@ -78,6 +83,7 @@ def settled(
         What explains it; slow noise is added.
     """
     windows = _windows(stage)
+    moments = _moments(stage)
     weight = [
         np.full(len(y), 1.0 / sigma**2) for y, sigma in zip(rows.y, size, strict=True)
     ]
@@ -85,7 +91,7 @@ def settled(
     linear = LinearModel(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(
-            linear.residual(), noise.sigma, windows, stage, rows.shared
+            linear.residual(), noise.sigma, windows, moments, stage, rows.shared
         )
         linear = LinearModel(rows, parts, noise.weight, noise.slow(stage))
     return linear, noise
@@ -95,6 +101,7 @@ def _of_residual(
     residual: Sequence[Array],
     sigma: Array,
     windows: Sequence[Index],
+    moments: Sequence[Index],
     stage: CandidateColumns,
     views: Array,
 ) -> Noise:
@@ -115,7 +122,8 @@ def _of_residual(
                 r, sigma[channel], windows[channel % n]
             )
             variance = views[channel] * ALIKE * new_sigma[channel] ** 2
-            weight.append(relative / variance)
+            counted = counted_again(r * np.sqrt(relative), moments[channel % n])
+            weight.append(relative / (variance * counted))
     return Noise(sigma=new_sigma, weight=tuple(weight))
 
 
@@ -133,6 +141,53 @@ def _student(
         weight = ((nu + 1.0) / (nu + mean_square / sigma**2))[window]
         sigma = max(float(np.sqrt(np.mean(weight * r**2))), 1e-12)
     return sigma, weight
+
+
+def counted_again(r: Array, moment: Index) -> Array:
+    """Return how many times too often rows count where a motion comes again.
+
+    The share of a variance that comes again is told by the means of moments, against
+    how rows of one moment differ (analysis of variance with random effects).
+
+    Parameters
+    ----------
+    r : (M,) array
+        What is left [N m; N where prismatic].
+    moment : (M,) index array
+        The moment of its motion in which each row is.
+
+    Returns
+    -------
+    (M,) array
+        1 + (R - 1) rho; 1 where a moment is there once.
+    """
+    count = np.bincount(moment)
+    is_again = count > 1
+    n_rows = int(count[is_again].sum())
+    n_moments = int(is_again.sum())
+    if n_rows == n_moments:
+        return np.ones(len(r))
+    mean = np.bincount(moment, r) / np.maximum(count, 1)
+    inside = np.where(is_again[moment], r - mean[moment], 0.0)
+    of_rows = float(inside @ inside) / (n_rows - n_moments)
+    of_means = float(count[is_again] @ mean[is_again] ** 2) / n_moments
+    again = max(of_means - of_rows, 0.0) / (n_rows / n_moments)
+    share = again / max(again + of_rows, 1e-300)
+    return np.asarray(1.0 + (count[moment] - 1.0) * share)
+
+
+def _moments(stage: CandidateColumns) -> list[Index]:
+    """Return the moment (M_j,) of its motion of every row of a joint, from 0 on."""
+    rows = stage.rows
+    moments: list[Index] = []
+    for joint in range(rows.n):
+        of_scenes = [
+            moment[used[:, joint]]
+            for moment, used in zip(rows.moment, rows.used, strict=True)
+        ]
+        _, number = np.unique(np.concatenate(of_scenes), return_inverse=True)
+        moments.append(number)
+    return moments
 
 
 def slow_noise(

@@ -1,14 +1,16 @@
 """Rows that are to be explained, columns that may explain them, and what they gain.
 
-How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B.
+How sure a gain is over parts that differ is told by drawn weights of the parts (D. B.
 Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few
-blocks alone may still be sure, if nothing speaks against it elsewhere.
+parts alone may still be sure, if nothing speaks against it elsewhere.
 
 A *channel* is one kind of rows of a joint. With n joints, channel j is the torque of
 joint j below its cut-off, n + j what lies above the cut-off, 2 n + j its drive alone,
 and 3 n + j its link against its motor, in standard deviations (see `link_rows`). In
 shapes, M_c is the number of rows of channel c, k the number of columns of one group,
-and "blocks" the number of blocks of time.
+"blocks" the number of blocks of time, and "parts" that of the parts that are left out
+in turn: each of them one block, or all blocks of the same stretch of a motion that
+comes again (see `survey.repeats`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,14 +20,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.discover.survey.repeats import SAMPLES_PER_CUTOFF
 from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.typing import Array, Index
 
 Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)
 
 ALIKE = 0.5 * SAMPLES_PER_CUTOFF  # rows of low-passed signals that tell as much as one
-DRAWS, SEED = 400, 0  # of weights of the blocks
+DRAWS, SEED = 400, 0  # of weights of the parts
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Observations:
         How many channels show the same as each does; empty where each shows its own.
     log_of_block : (blocks,) index array, optional
         The log of each block, ascending; all blocks are of one log if left out.
+    part_of_block : (blocks,) index array, optional
+        The part of each block; each is one by itself if left out.
     """
 
     y: tuple[Array, ...]
@@ -51,6 +55,7 @@ class Observations:
     blocks: int
     views: tuple[int, ...] = ()
     log_of_block: Index | None = None
+    part_of_block: Index | None = None
 
     @cached_property
     def log(self) -> Index:
@@ -60,11 +65,32 @@ class Observations:
         return self.log_of_block
 
     @cached_property
+    def part(self) -> Index:
+        """The part (blocks,) of each block."""
+        if self.part_of_block is None:
+            return np.arange(self.blocks)
+        return self.part_of_block
+
+    @cached_property
+    def blocks_of_part(self) -> tuple[Index, ...]:
+        """The blocks of every part."""
+        n_parts = int(self.part.max(initial=-1)) + 1
+        return tuple(np.flatnonzero(self.part == part) for part in range(n_parts))
+
+    @property
+    def parts(self) -> int:
+        """Number of parts."""
+        return len(self.blocks_of_part)
+
+    def by_part(self, channel: int, values: Array | None = None) -> Array:
+        """Sum values (M_c,) of a channel's rows over each part (parts,), or count."""
+        part = self.part[self.block[channel]]
+        return np.bincount(part, values, minlength=self.parts).astype(np.float64)
+
+    @cached_property
     def independent(self) -> Array:
-        """Number (channels, blocks) of independent rows."""
-        counts = np.stack(
-            [np.bincount(block, minlength=self.blocks) for block in self.block]
-        )
+        """Number (channels, parts) of independent rows."""
+        counts = np.stack([self.by_part(channel) for channel in range(len(self.y))])
         return counts / (ALIKE * self.shared[:, None])
 
     @property
@@ -179,50 +205,50 @@ class TermFit:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How much better blocks are predicted with a term that was fitted to the others.
+    """How much better parts are predicted with a term that was fitted to the others.
 
     Attributes
     ----------
-    block_gains : (blocks,) array
+    part_gains : (parts,) array
         Gain in log predictive density.
-    rows : (blocks,) array
+    rows : (parts,) array
         Number of independent rows at the term's channels.
     file_gain : float
         Gain in the log density of what the parameter file says.
     """
 
-    block_gains: Array
+    part_gains: Array
     rows: Array
     file_gain: float = 0.0
 
     @property
     def total(self) -> float:
-        """Gain of all blocks and of the file."""
-        return float(self.block_gains.sum()) + self.file_gain
+        """Gain of all parts and of the file."""
+        return float(self.part_gains.sum()) + self.file_gain
 
     @cached_property
     def drawn(self) -> Array:
-        """Total gains (DRAWS,) over drawn weights of the blocks; there is one file."""
-        weights = weights_of(len(self.block_gains))
-        return np.asarray(weights @ self.block_gains + self.file_gain)
+        """Total gains (DRAWS,) over drawn weights of the parts; there is one file."""
+        weights = weights_of(len(self.part_gains))
+        return np.asarray(weights @ self.part_gains + self.file_gain)
 
     @property
     def doubt(self) -> float:
-        """Probability that nothing is gained, over drawn weights of the blocks."""
+        """Probability that nothing is gained, over drawn weights of the parts."""
         return float(np.mean(self.drawn <= 0.0))
 
     @property
     def share(self) -> float:
         """Share of the squared error that goes, where noise of unit variance remains.
 
-        By the density: it knows what other blocks do not tell of one, squared errors do
+        By the density: it knows what other parts do not tell of one, squared errors do
         not.
         """
         return float(self._share_of(self.total))
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of that share, over drawn weights of the blocks."""
+        """95 % interval of that share, over drawn weights of the parts."""
         low, high = np.quantile(
             self._share_of(self.drawn), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2)
         )
@@ -240,18 +266,18 @@ def joints_below(channels: Iterable[int], n: int) -> list[int]:
 
 
 @lru_cache
-def weights_of(blocks: int) -> Array:
-    """Return weights (DRAWS, blocks) of the Bayesian bootstrap."""
-    return np.random.default_rng(SEED).exponential(size=(DRAWS, blocks))
+def weights_of(parts: int) -> Array:
+    """Return weights (DRAWS, parts) of the Bayesian bootstrap."""
+    return np.random.default_rng(SEED).exponential(size=(DRAWS, parts))
 
 
 def doubt_of(gains: Array) -> float:
-    """Return the probability that gains of blocks (blocks,) come to nothing."""
+    """Return the probability that gains of parts (parts,) come to nothing."""
     return float(np.mean(weights_of(len(gains)) @ gains <= 0.0))
 
 
 def scatter(values: Array) -> float:
-    """Return the standard error of the sum of independent values (blocks,)."""
+    """Return the standard error of the sum of independent values (parts,)."""
     if len(values) < 2:
         return np.inf
     return float(np.std(values, ddof=1) * np.sqrt(len(values)))

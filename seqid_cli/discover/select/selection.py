@@ -311,7 +311,7 @@ class Selection:
         lag = best.score.total - candidate.score.total
         # Standard errors by which the doubt is no more than that.
         n_errors = -float(ndtri(self.options.alpha))
-        difference = best.score.block_gains - candidate.score.block_gains
+        difference = best.score.part_gains - candidate.score.part_gains
         return lag <= max(n_errors * scatter(difference), 1.0)
 
     def eliminate(self) -> set[Key]:

@@ -28,7 +28,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.discover.settings import EventSettings
-from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.discover.survey.repeats import BLOCK_S, SAMPLES_PER_CUTOFF
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.discover.survey.stretches import (
     EDGE_S,
     Stretch,

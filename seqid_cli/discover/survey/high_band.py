@@ -17,7 +17,8 @@ from typing import cast
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.discover.survey.rows import Rows, stride_of
+from seqid_cli.discover.survey.repeats import stride_of
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array, Index, Mask
 

@@ -5,9 +5,10 @@ period of it lose nothing. Samples at which a joint does not certainly slide are
 out: whether and how long it sticks at a reversal is its controller's doing as much as
 the friction's.
 
-Rows belong to blocks of about two seconds, longer than the memory of the residual, and
-blocks to folds, which are left out in turn: whatever is said to help must help where it
-was not fitted.
+Rows belong to blocks of about two seconds, longer than the memory of the residual.
+Blocks of the same motion, as far as it comes again, are a group, and groups belong to
+folds. They are left out in turn: whatever is said to help must help where it was not
+fitted.
 
 In shapes, N is the number of samples of a data set, M that of the samples which are
 kept of it, M_j the number of rows of joint j over all data sets, and n the number of
@@ -24,14 +25,16 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from seqid_cli.discover.survey.repeats import (
+    SAMPLES_PER_CUTOFF,
+    blocks_of,
+    stride_of,
+)
 from seqid_cli.discover.survey.reversals import Reversal, Whitening, reversals_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.model.torque import REACH
-from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
-SAMPLES_PER_CUTOFF = 4
-BLOCK_S = 2.0  # of the shortest blocks of time whose errors are compared
 FOLDS = 10
 MOST_ROWS = 40_000
 TOGETHER = 64  # columns that are worked out together
@@ -61,6 +64,10 @@ class Rows:
         By data set: whether each joint counts at a kept sample.
     block : tuple of (M,) index arrays
         By data set: the block of each kept sample, counted over all data sets.
+    moment : tuple of (M,) index arrays
+        By data set: the moment of its motion at each kept sample, counted over all.
+    group : (blocks,) index array
+        The group of each block: those of the same motion.
     fold : (blocks,) index array
         The fold of each block.
     """
@@ -69,6 +76,8 @@ class Rows:
     samples: tuple[Index, ...]
     used: tuple[Mask, ...]
     block: tuple[Index, ...]
+    moment: tuple[Index, ...]
+    group: Index
     fold: Index
 
     @property
@@ -232,11 +241,6 @@ class Rows:
         return replace(self, used=tuple(used_elsewhere))
 
 
-def stride_of(motion: Motion) -> int:
-    """Return every how many samples of a motion one is kept."""
-    return max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
-
-
 def rows_of(scenes: Sequence[Scene]) -> Rows:
     """Choose the rows of all logs, their blocks and folds.
 
@@ -254,7 +258,8 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     samples_by_scene: list[Index] = []
     used_by_scene: list[Mask] = []
     block_by_scene: list[Index] = []
-    n_blocks_by_scene: list[int] = []
+    moment_by_scene: list[Index] = []
+    blocks_by_scene = blocks_of(scenes)
 
     # Of very long logs every second block is kept, or every third, ...: memory.
     periods = sum(
@@ -262,25 +267,29 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     )
     block_stride = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))
 
-    for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
-        motion = scene.motion
-        samples = np.arange(0, motion.samples, stride_of(motion))
-        n_blocks = max(1, round(motion.t[-1] / BLOCK_S))
-        block = np.minimum((samples * n_blocks) // motion.samples, n_blocks - 1)
-
+    n_blocks = 0
+    for scene, blocks, outside in zip(
+        scenes, blocks_by_scene, extrapolated(scenes), strict=True
+    ):
+        samples = np.arange(0, scene.samples, stride_of(scene.motion))
+        block = blocks.number[samples]
         is_kept = block % block_stride == 0
         samples_by_scene.append(samples[is_kept])
         used_by_scene.append((scene.slides & ~outside)[samples[is_kept]])
-        block_by_scene.append(block[is_kept] + sum(n_blocks_by_scene))
-        n_blocks_by_scene.append(n_blocks)
+        block_by_scene.append(block[is_kept] + n_blocks)
+        moment_by_scene.append(blocks.moment[samples[is_kept]])
+        n_blocks += len(blocks.group)
 
-    fold = _folds(n_blocks_by_scene)
+    group = np.concatenate([blocks.group for blocks in blocks_by_scene])
+    fold = _folds([blocks.group for blocks in blocks_by_scene])[group]
     moving = _without_shaken_joints(scenes, samples_by_scene, used_by_scene)
     return Rows(
         scenes=tuple(scenes),
         samples=tuple(samples_by_scene),
         used=_without_unpredictable_joints(moving, block_by_scene, fold),
         block=tuple(block_by_scene),
+        moment=tuple(moment_by_scene),
+        group=group,
         fold=fold,
     )
 
@@ -374,12 +383,19 @@ def _without_unpredictable_joints(
     return tuple(counts & enough for counts in used)
 
 
-def _folds(n_blocks_by_scene: Sequence[int]) -> Index:
-    """Return the fold of each block: about FOLDS in all, two a log at least."""
-    total = sum(n_blocks_by_scene)
+def _folds(group_by_scene: Sequence[Index]) -> Index:
+    """Return the fold (groups,) of each group: about FOLDS in all, two a log at least.
+
+    Groups are numbered as they come. A log that has the motion of others adds none.
+    """
+    total = 1 + max(int(group.max()) for group in group_by_scene)
     folds: list[Index] = []
-    for n_blocks in n_blocks_by_scene:
-        n_folds = max(min(2, n_blocks), round(FOLDS * n_blocks / total))
-        first_fold = folds[-1][-1] + 1 if folds else 0
-        folds.append(first_fold + (np.arange(n_blocks) * n_folds) // n_blocks)
+    n_known = 0
+    n_folds = 0
+    for group in group_by_scene:
+        n_new = max(int(group.max()) + 1 - n_known, 0)
+        n_of_log = max(min(2, n_new), round(FOLDS * n_new / total))
+        folds.append(n_folds + (np.arange(n_new) * n_of_log) // max(n_new, 1))
+        n_known += n_new
+        n_folds += n_of_log
     return np.concatenate(folds).astype(np.intp)

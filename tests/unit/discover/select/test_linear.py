@@ -13,6 +13,7 @@ from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import PriorUpdate
 from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
 from seqid_cli.tiles import tiles
+from seqid_cli.typing import Index
 from tests import Array
 
 
@@ -111,7 +112,7 @@ def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) 
         tried.scores([TERM, absorbed])[1],
         expected.scores([less])[0],
     )
-    np.testing.assert_allclose(left_out.block_gains, as_well.block_gains, atol=1e-6)
+    np.testing.assert_allclose(left_out.part_gains, as_well.part_gains, atol=1e-6)
     assert left_out.file_gain == pytest.approx(as_well.file_gain, abs=1e-6)
 
     taken, expected = linear([*model, absorbed]), linear([*same, less])
@@ -187,7 +188,42 @@ def test_gain_of_a_block_is_that_of_its_density_given_all_others() -> None:
             log_density(parts) - log_density(parts, without=b)
             for parts in (BASE, [*BASE, TERM])
         )
-        assert told.block_gains[b] == pytest.approx(with_it - without, abs=1e-6)
+        assert told.part_gains[b] == pytest.approx(with_it - without, abs=1e-6)
+
+
+def test_blocks_of_one_motion_are_left_out_together() -> None:
+    """As one block that has the rows of both, wherever they stand."""
+    together = replace(ROWS, part_of_block=PART_OF_BLOCK)
+    joined = [
+        np.where(block == BLOCKS - 1, 0, block) for block in ROWS.block
+    ]  # the last block is part of the first
+    order = [np.argsort(block, kind="stable") for block in joined]
+    as_one = replace(
+        ROWS,
+        y=tuple(y[at] for y, at in zip(ROWS.y, order, strict=True)),
+        block=tuple(block[at] for block, at in zip(joined, order, strict=True)),
+        blocks=BLOCKS - 1,
+    )
+
+    def sorted_rows(part: ColumnGroup) -> ColumnGroup:
+        return replace(part, columns={c: X[order[c]] for c, X in part.columns.items()})
+
+    model = LinearModel(together, [*BASE, TERM], WEIGHT)
+    weight = [w[at] for w, at in zip(WEIGHT, order, strict=True)]
+    parts = [sorted_rows(part) for part in (*BASE, TERM)]
+    expected = LinearModel(as_one, parts, weight)
+    for left, of_joined, at in zip(
+        model.left_out, expected.left_out, order, strict=True
+    ):
+        np.testing.assert_allclose(left[at], of_joined, rtol=1e-9)
+    np.testing.assert_allclose(
+        model.again(TERM)[1].part_gains, expected.again(parts[-1])[1].part_gains
+    )
+    other = ColumnGroup(columns=columns(9, 3), precision=np.diag([0.4, 1.0, 2.0]))
+    score = model.scores([other])[0]
+    as_joined = expected.scores([sorted_rows(other)])[0]
+    np.testing.assert_allclose(score.part_gains, as_joined.part_gains)
+    np.testing.assert_allclose(score.rows, as_joined.rows)
 
 
 def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
@@ -206,7 +242,7 @@ def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
     )
     told = linear(held).scores([TERM])[0]
     assert told.file_gain == pytest.approx(with_file - without, abs=1e-6)
-    assert told.total == pytest.approx(told.block_gains.sum() + told.file_gain)
+    assert told.total == pytest.approx(told.part_gains.sum() + told.file_gain)
 
 
 def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken() -> None:
@@ -215,7 +251,7 @@ def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken() -> None:
     np.testing.assert_allclose(before.theta, linear(BASE).theta, rtol=1e-9)
     (gained,), (told,) = before.fits([TERM]), before.scores([TERM])
     again, told_again = whole.again(TERM)
-    np.testing.assert_allclose(told_again.block_gains, told.block_gains, atol=1e-6)
+    np.testing.assert_allclose(told_again.part_gains, told.part_gains, atol=1e-6)
     assert told_again.total == pytest.approx(told.total, abs=1e-6)
     assert again.log_bayes_factor == pytest.approx(gained.log_bayes_factor, abs=1e-6)
     assert again.visible_share == pytest.approx(gained.visible_share, rel=1e-6)
@@ -240,14 +276,18 @@ LOG_OF_BLOCK = np.array([0, 0, 1, 1])
 OWN_SIZE = 2
 
 
+# The first block and the last, of another log, are of one motion.
+PART_OF_BLOCK = np.array([0, 1, 2, 0])
+
+
 def models_of_two_logs(
-    channels: tuple[int, ...] = (0, 1),
+    channels: tuple[int, ...] = (0, 1), part_of_block: Index | None = None
 ) -> tuple[LinearModel, LinearModel]:
     """Return one model twice: logs have columns of their own, or as any others.
 
     They have them in some channels.
     """
-    rows = replace(ROWS, log_of_block=LOG_OF_BLOCK)
+    rows = replace(ROWS, log_of_block=LOG_OF_BLOCK, part_of_block=part_of_block)
     precision = np.diag([0.6, 2.5])
     of_logs = []
     as_others = []
@@ -266,12 +306,13 @@ def models_of_two_logs(
     )
 
 
+@pytest.mark.parametrize("part_of_block", [None, PART_OF_BLOCK], ids=["once", "again"])
 @pytest.mark.parametrize("channels", [(0, 1), (0,), (1,)])
 def test_what_each_log_has_for_itself_costs_no_parameters(
-    channels: tuple[int, ...],
+    channels: tuple[int, ...], part_of_block: Index | None
 ) -> None:
     """Eliminated, it changes neither what is left out nor what a term is worth."""
-    model, written_out = models_of_two_logs(channels)
+    model, written_out = models_of_two_logs(channels, part_of_block)
     size = sum(part.size for part in (*BASE, TERM))
     assert model.size == size < written_out.size
 
@@ -290,12 +331,14 @@ def test_what_each_log_has_for_itself_costs_no_parameters(
         lambda x: x.fits([other, TERM])[0].log_bayes_factor,
         lambda x: x.fits([other])[0].covariance,
         lambda x: x.fits([last])[0].log_bayes_factor,
-        lambda x: x.scores([last])[0].block_gains,
-        lambda x: x.scores([other])[0].block_gains,
+        lambda x: x.scores([last])[0].part_gains,
+        lambda x: x.scores([other])[0].part_gains,
         lambda x: x.scores([other])[0].file_gain,
-        lambda x: x.again(TERM)[1].block_gains,
+        lambda x: x.again(TERM)[1].part_gains,
     ):
-        np.testing.assert_allclose(of_model(model), of_model(written_out), rtol=1e-7)
+        np.testing.assert_allclose(
+            of_model(model), of_model(written_out), rtol=1e-7, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("channels", [(), (0, 1)], ids=["shared", "own columns"])
@@ -310,8 +353,8 @@ def test_a_long_log_is_added_up_in_parts(
     in_parts = model.fits([other])[0]
     np.testing.assert_allclose(in_parts.coefficients, fit.coefficients, rtol=1e-9)
     np.testing.assert_allclose(in_parts.covariance, fit.covariance, rtol=1e-9)
-    gains = model.scores([other])[0].block_gains
-    np.testing.assert_allclose(gains, score.block_gains, rtol=1e-9)
+    gains = model.scores([other])[0].part_gains
+    np.testing.assert_allclose(gains, score.part_gains, rtol=1e-9)
 
 
 def test_a_whole_log_is_predicted_by_the_others() -> None:

@@ -100,7 +100,7 @@ def test_fits_without_each_block_are_let_go_of_once_all_is_told(
 ) -> None:
     linear = pair.model.linear
     before = linear.jackknife(slice(0, 2))
-    assert "_without_block" in vars(linear)
+    assert "_without_part" in vars(linear)
     investigation = Investigation(
         logs=(),
         selection=pair,
@@ -110,7 +110,7 @@ def test_fits_without_each_block_are_let_go_of_once_all_is_told(
         settings=DiscoverSettings(),
     )
     investigation.forget_search()
-    assert "_without_block" not in vars(linear)
+    assert "_without_part" not in vars(linear)
     np.testing.assert_array_equal(linear.jackknife(slice(0, 2)), before)
 
 
@@ -177,7 +177,7 @@ def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
     model.add([candidate("payload", None, from_log=0.0)])
     (term,) = model.terms
     told = model.beside(term).scores([term.part])[0]
-    assert told.file_gain > 10.0 * max(float(told.block_gains.sum()), 1.0)
+    assert told.file_gain > 10.0 * max(float(told.part_gains.sum()), 1.0)
 
 
 @pytest.mark.slow
@@ -408,7 +408,7 @@ def rival(model: Model, name: str, gain: float) -> ScoredTerm:
     of_grid = next(effect.grid(stage.scenes, 0, model.left()))
     (term,) = terms.effects(stage, [Candidate(effect, 0, of_grid)], model.ground.size)
     blocks = model.ground.rows.blocks
-    score = Score(block_gains=np.full(blocks, gain / blocks), rows=np.ones(blocks))
+    score = Score(part_gains=np.full(blocks, gain / blocks), rows=np.ones(blocks))
     (fit,) = model.linear.fits([term.part])
     fit = replace(fit, log_bayes_factor=gain)
     return ScoredTerm(term=term, fit=fit, score=score)

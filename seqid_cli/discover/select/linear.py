@@ -36,7 +36,7 @@ that of a log's own columns.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -51,6 +51,7 @@ from seqid_cli.discover.select.rows import (
     ColumnGroup,
     LogColumns,
     Observations,
+    Recurring,
     Score,
     TermFit,
 )
@@ -212,6 +213,8 @@ class LinearModel:
         By channel, the precision w of each row [1 / (N m)^2].
     of_logs : sequence of LogColumns
         Columns that each log has for itself; a channel has one of them at most.
+    recurring : sequence of Recurring or None
+        By channel, noise that rows of one moment of a motion share; none if left out.
 
     Attributes
     ----------
@@ -227,11 +230,14 @@ class LinearModel:
         parts: Sequence[ColumnGroup],
         weight: Sequence[Array],
         of_logs: Sequence[LogColumns] = (),
+        *,
+        recurring: Sequence[Recurring | None] = (),
     ) -> None:
         self.rows = rows
         self.parts = tuple(parts)
         self.weight = tuple(weight)
         self.of_logs = tuple(of_logs)
+        self.recurring = tuple(recurring) or (None,) * len(rows.y)
         self.where = _slices(part.size for part in self.parts)
         self.size = sum(part.size for part in self.parts)
         self._columns = [self._of_channel(channel) for channel in range(len(rows.y))]
@@ -248,7 +254,16 @@ class LinearModel:
     @cached_property
     def _scaled_y(self) -> list[Array]:
         """Rows (M_c,) of unit noise, by channel."""
-        return [y * root for y, root in zip(self.rows.y, self._root, strict=True)]
+        return [
+            self._of_unit_noise(channel, [y[:, None]])[:, 0]
+            for channel, y in enumerate(self.rows.y)
+        ]
+
+    def _of_unit_noise(self, channel: int, columns: Sequence[Array]) -> Array:
+        """Return columns (M_c, k) each of a channel, side by side, of unit noise."""
+        scaled = _weighted(self._root[channel], columns)
+        recurring = self.recurring[channel]
+        return scaled if recurring is None else recurring.taken_off(scaled)
 
     def without(self, *removed: ColumnGroup) -> LinearModel:
         """Return the model without some of its groups.
@@ -269,6 +284,7 @@ class LinearModel:
             [self.parts[number] for number in staying],
             self.weight,
             self.of_logs,
+            recurring=self.recurring,
         )
         smaller.sums = A[np.ix_(index, index)], b[index]
         return smaller
@@ -364,13 +380,23 @@ class LinearModel:
 
     # ---- the fit
 
-    def _scaled(self, channel: int, at: slice) -> tuple[Array, Array]:
-        """Return some rows of unit noise of a channel's columns, and the logs' own."""
+    def _scaled(
+        self, channel: int, slices: Sequence[slice]
+    ) -> Iterator[tuple[Array, Array]]:
+        """Yield rows of unit noise of a channel's columns, and the logs' own."""
         columns = self._columns[channel]
-        groups = [group[at] for group in columns.all_groups]
-        scaled = _weighted(self._root[channel][at], groups)
         p = len(columns.index)
-        return scaled[:, :p], scaled[:, p:]
+        if self.recurring[channel] is None:
+            root = self._root[channel]
+            for at in slices:
+                scaled = _weighted(root[at], [X[at] for X in columns.all_groups])
+                yield scaled[:, :p], scaled[:, p:]
+            return
+
+        # Rows of one moment stand far from each other.
+        scaled = self._of_unit_noise(channel, columns.all_groups)
+        for at in slices:
+            yield scaled[at, :p], scaled[at, p:]
 
     @staticmethod
     def _own_products(base: Array, own: Array, y: Array) -> Array:
@@ -385,7 +411,7 @@ class LinearModel:
         sums = []
         own_columns: list[_OwnColumns | None] = []
         for channel, columns in enumerate(self._columns):
-            base, own = self._scaled(channel, slice(None))
+            ((base, own),) = self._scaled(channel, [slice(None)])
             y = self._scaled_y[channel]
             sums.append((base.T @ base, base.T @ y))
             if columns.of_log is None:
@@ -488,16 +514,17 @@ class LinearModel:
 
             change = np.zeros((len(columns.index), len(columns.index)))
             products_of_log: dict[int, Array] = {}
-            for block in blocks:
-                at = self.rows.block_slices[channel][block]
+            slices = [self.rows.block_slices[channel][block] for block in blocks]
+            logs = self.rows.log[blocks].tolist()
+            for at, log, (base, own_columns) in zip(
+                slices, logs, self._scaled(channel, slices), strict=True
+            ):
                 if at.stop == at.start:
                     continue
-                base, own_columns = self._scaled(channel, at)
                 y = self._scaled_y[channel][at]
                 change -= base.T @ base
                 b[columns.index] -= base.T @ y
                 if own is not None:
-                    log = int(self.rows.log[block])
                     products = self._own_products(base, own_columns, y)
                     products_of_log[log] = products + products_of_log.get(log, 0.0)
 
@@ -639,9 +666,10 @@ class LinearModel:
         for channel, columns in enumerate(self._columns):
             own = self._own[channel]
             change = np.zeros((len(columns.index), len(columns.index)))
-            for log in logs:
-                at = self.rows.log_slices[channel][log]
-                base, _ = self._scaled(channel, at)
+            slices = [self.rows.log_slices[channel][log] for log in logs]
+            for at, log, (base, _) in zip(
+                slices, logs, self._scaled(channel, slices), strict=True
+            ):
                 change -= base.T @ base
                 b[columns.index] -= base.T @ self._scaled_y[channel][at]
                 if own is not None:
@@ -919,18 +947,21 @@ class LinearModel:
                 inside=[terms[i].at(channel) for i in present],
             )
 
+            precise = self._precise(channel, groups)
             logs = self.rows.log_slices[channel]
             every_row = slice(0, len(self.rows.y[channel]))
             if by_part:
                 by_block = [
-                    self._term_products(channel, groups, rows, [rows])
+                    self._term_products(channel, groups, rows, [rows], precise)
                     for rows in self.rows.block_slices[channel]
                 ]
                 for part, of_block in zip(self.rows.part, by_block, strict=True):
                     place.add(of_block, total)
                     place.add(of_block, of_parts[part])
             else:
-                by_block = [self._term_products(channel, groups, every_row, logs)]
+                by_block = [
+                    self._term_products(channel, groups, every_row, logs, precise)
+                ]
                 place.add(by_block[0], total)
 
             own = self._own[channel]
@@ -976,10 +1007,12 @@ class LinearModel:
         terms: Sequence[ColumnGroup],
         rows: slice,
         logs: Sequence[slice],
+        precise: Array | None,
     ) -> _TermProducts:
         """Return products of terms with a channel's columns, over some of its rows.
 
         With the logs' own columns they are told apart by the rows of each log.
+        `precise` are all rows of the terms' columns as `_precise` returns them.
         """
         columns = self._columns[channel]
         of_log = columns.of_log
@@ -992,7 +1025,10 @@ class LinearModel:
         own = np.zeros((len(logs), n_own, sum(sizes)))
         for tile in tiles(rows.stop, rows.start):
             X_each = [term.columns[channel][tile] for term in terms]
-            wX = _weighted(self.weight[channel][tile], X_each)
+            if precise is None:
+                wX = _weighted(self.weight[channel][tile], X_each)
+            else:
+                wX = precise[tile]
             if columns.groups:  # none above a cut-off
                 C += np.vstack([B[tile].T @ wX for B in columns.groups])
             d += self.rows.y[channel][tile] @ wX
@@ -1008,6 +1044,19 @@ class LinearModel:
                     inside = wX[start - tile.start : stop - tile.start]
                     own[number] += of_log.columns[start:stop].T @ inside
         return _TermProducts(C=C, d=d, D=tuple(D), own=own)
+
+    def _precise(self, channel: int, terms: Sequence[ColumnGroup]) -> Array | None:
+        """Return all rows of the columns of terms times their precision.
+
+        None where rows are independent, so that some of them may be taken alone.
+        """
+        recurring = self.recurring[channel]
+        if recurring is None:
+            return None
+        columns = [term.columns[channel] for term in terms]
+        scaled = recurring.taken_off(self._of_unit_noise(channel, columns))
+        scaled *= self._root[channel][:, None]
+        return scaled
 
 
 @dataclass(frozen=True, kw_only=True)

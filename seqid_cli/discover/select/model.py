@@ -446,7 +446,9 @@ class Model:
         chosen = self.terms if terms is None else terms
         parts = [*self._base, *(term.part for term in chosen)]
         slow_noise = noise.slow(self.ground.stage)
-        return LinearModel(self.ground.rows, parts, noise.weight, slow_noise)
+        return LinearModel(
+            self.ground.rows, parts, noise.weight, slow_noise, recurring=noise.recurring
+        )
 
     def beside(self, *terms: Term) -> LinearModel:
         """Return the model without some terms, the noise as it is."""

@@ -8,13 +8,15 @@ square in units of the noise. Rows of low-passed signals tell partly the same: `
 of them count as one.
 
 Where a motion comes again, so does what the model has wrong of it, and that is no more
-sure for being seen again. Of R times that are of variance s^2 each, of which a share
-rho comes again, the mean has the variance (1 + (R - 1) rho) s^2 / R: each of them
-counts that much less.
+sure for being seen again. It is noise that all rows of one moment of the motion share
+(see `rows.Recurring`): what differs from one time to the next is as sure as ever.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,11 +28,14 @@ from seqid_cli.discover.select.rows import (
     ColumnGroup,
     LogColumns,
     Observations,
+    Recurring,
 )
 from seqid_cli.typing import Array, Index
 
 ROUNDS = 3
 INNER = 5
+# Share of the noise that may come again: some is left to rows by themselves.
+MOST_AGAIN = 0.99
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,14 @@ class Noise:
     sigma : (channels,) array
         Standard deviation [N m; N where prismatic].
     weight : tuple of (M_c,) arrays
-        Precision of each row [1 / (N m)^2].
+        Precision of each row [1 / (N m)^2], without what comes again.
+    recurring : tuple of Recurring or None
+        What comes again with a motion, by channel.
     """
 
     sigma: Array
     weight: tuple[Array, ...]
+    recurring: tuple[Recurring | None, ...]
 
     def slow(self, stage: CandidateColumns) -> list[LogColumns]:
         """Return the part of it that is slower than a block of time, by channel."""
@@ -87,13 +95,16 @@ def settled(
     weight = [
         np.full(len(y), 1.0 / sigma**2) for y, sigma in zip(rows.y, size, strict=True)
     ]
-    noise = Noise(sigma=size, weight=tuple(weight))
+    none = (None,) * len(weight)
+    noise = Noise(sigma=size, weight=tuple(weight), recurring=none)
     linear = LinearModel(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(
             linear.residual(), noise.sigma, windows, moments, stage, rows.shared
         )
-        linear = LinearModel(rows, parts, noise.weight, noise.slow(stage))
+        linear = LinearModel(
+            rows, parts, noise.weight, noise.slow(stage), recurring=noise.recurring
+        )
     return linear, noise
 
 
@@ -101,7 +112,7 @@ def _of_residual(
     residual: Sequence[Array],
     sigma: Array,
     windows: Sequence[Index],
-    moments: Sequence[Index],
+    moments: Sequence[Moments],
     stage: CandidateColumns,
     views: Array,
 ) -> Noise:
@@ -109,7 +120,9 @@ def _of_residual(
     n = len(windows)
     new_sigma = sigma.copy()
     weight = []
+    recurring: list[Recurring | None] = []
     for channel, r in enumerate(residual):
+        of_channel = None
         if not len(r):
             weight.append(r)
         elif channel // n == 1:
@@ -122,9 +135,15 @@ def _of_residual(
                 r, sigma[channel], windows[channel % n]
             )
             variance = views[channel] * ALIKE * new_sigma[channel] ** 2
-            counted = counted_again(r * np.sqrt(relative), moments[channel % n])
-            weight.append(relative / (variance * counted))
-    return Noise(sigma=new_sigma, weight=tuple(weight))
+            of_joint = moments[channel % n]
+            share = of_joint.share_again(r * np.sqrt(relative))
+            weight.append(relative / (variance * (1.0 - share)))
+            if share > 0.0:
+                of_channel = Recurring.of(
+                    weight[-1], of_joint.in_log, variance * share, of_joint.times_in_log
+                )
+        recurring.append(of_channel)
+    return Noise(sigma=new_sigma, weight=tuple(weight), recurring=tuple(recurring))
 
 
 def _student(
@@ -143,50 +162,75 @@ def _student(
     return sigma, weight
 
 
-def counted_again(r: Array, moment: Index) -> Array:
-    """Return how many times too often rows count where a motion comes again.
+@dataclass(frozen=True)
+class Moments:
+    """The moment of its motion of every row of a joint.
 
-    The share of a variance that comes again is told by the means of moments, against
-    how rows of one moment differ (analysis of variance with random effects).
-
-    Parameters
+    Attributes
     ----------
-    r : (M,) array
-        What is left [N m; N where prismatic].
-    moment : (M,) index array
-        The moment of its motion in which each row is.
-
-    Returns
-    -------
-    (M,) array
-        1 + (R - 1) rho; 1 where a moment is there once.
+    number : (M_j,) index array
+        Of each row, over all logs.
+    in_log : (M_j,) index array
+        The same, for each log by itself.
     """
-    count = np.bincount(moment)
-    is_again = count > 1
-    n_rows = int(count[is_again].sum())
-    n_moments = int(is_again.sum())
-    if n_rows == n_moments:
-        return np.ones(len(r))
-    mean = np.bincount(moment, r) / np.maximum(count, 1)
-    inside = np.where(is_again[moment], r - mean[moment], 0.0)
-    of_rows = float(inside @ inside) / (n_rows - n_moments)
-    of_means = float(count[is_again] @ mean[is_again] ** 2) / n_moments
-    again = max(of_means - of_rows, 0.0) / (n_rows / n_moments)
-    share = again / max(again + of_rows, 1e-300)
-    return np.asarray(1.0 + (count[moment] - 1.0) * share)
+
+    number: Index
+    in_log: Index
+
+    @classmethod
+    def of(cls, number: Index, log: Index) -> Moments:
+        """Count moments, and those of each log; `log` (M_j,) is the log of each row."""
+        _, of_all = np.unique(number, return_inverse=True)
+        _, in_log = np.unique(
+            log * (1 + of_all.max(initial=0)) + of_all, return_inverse=True
+        )
+        return cls(number=of_all, in_log=in_log)
+
+    @cached_property
+    def times(self) -> Index:
+        """How often each moment (moments,) is there in all logs."""
+        return np.bincount(self.number)
+
+    @cached_property
+    def times_in_log(self) -> Array:
+        """How often that is for each time in its log, by moment of a log; 0 if once."""
+        times_there = np.bincount(self.in_log)
+        times = np.zeros(len(times_there))
+        times[self.in_log] = self.times[self.number]
+        return np.where(times > 1, times / times_there, 0.0)
+
+    def share_again(self, r: Array) -> float:
+        """Return the share of the variance of rows r (M_j,) that comes again.
+
+        It is told by the means of moments, against how rows of one moment differ
+        (analysis of variance with random effects).
+        """
+        is_again = self.times > 1
+        n_rows = int(self.times[is_again].sum())
+        n_moments = int(is_again.sum())
+        if n_rows == n_moments:
+            return 0.0
+        mean = np.bincount(self.number, r) / self.times
+        inside = np.where(is_again[self.number], r - mean[self.number], 0.0)
+        of_rows = float(inside @ inside) / (n_rows - n_moments)
+        of_means = float(self.times[is_again] @ mean[is_again] ** 2) / n_moments
+        again = max(of_means - of_rows, 0.0) / (n_rows / n_moments)
+        return min(again / max(again + of_rows, 1e-300), MOST_AGAIN)
 
 
-def _moments(stage: CandidateColumns) -> list[Index]:
-    """Return the moment (M_j,) of its motion of every row of a joint, from 0 on."""
+def _moments(stage: CandidateColumns) -> list[Moments]:
+    """Return the moments of every joint's rows."""
     rows = stage.rows
-    moments: list[Index] = []
+    moments: list[Moments] = []
     for joint in range(rows.n):
-        of_scenes = [
-            moment[used[:, joint]]
-            for moment, used in zip(rows.moment, rows.used, strict=True)
+        counts = [used[:, joint] for used in rows.used]
+        number = [
+            moment[of_scene]
+            for moment, of_scene in zip(rows.moment, counts, strict=True)
         ]
-        _, number = np.unique(np.concatenate(of_scenes), return_inverse=True)
-        moments.append(number)
+        lengths = [len(of_scene) for of_scene in number]
+        log = np.repeat(np.arange(len(number)), lengths)
+        moments.append(Moments.of(np.concatenate(number), log))
     return moments
 
 

@@ -13,12 +13,15 @@ in turn: each of them one block, or all blocks of the same stretch of a motion t
 comes again (see `survey.repeats`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from seqid_cli.discover.survey.repeats import SAMPLES_PER_CUTOFF
 from seqid_cli.motion.torque_noise import LEVEL
@@ -179,6 +182,69 @@ class LogColumns:
     channel: int
     columns: Array
     precision: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recurring:
+    """Noise that rows of one moment of a motion share, as it comes again with it.
+
+    With the precision w of rows by themselves and the variance r of what they share,
+    the precision of the rows of a moment is W - u u' r / (1 + r |u|^2), u being w. It
+    is the square of a root that takes a share off the mean.
+
+    Attributes
+    ----------
+    moment : (M_c,) index array
+        The moment of each row of a channel; each is of one log.
+    unit : (M_c,) array
+        Roots of w, over their norm in the moment.
+    share : (moments,) array
+        How much is taken off the mean of each moment.
+    """
+
+    moment: Index
+    unit: Array
+    share: Array
+
+    @classmethod
+    def of(
+        cls, weight: Array, moment: Index, variance: float, times_in_log: Array
+    ) -> Recurring:
+        """Take the precision from that of rows by themselves.
+
+        Parameters
+        ----------
+        weight : (M_c,) array
+            Their precision w [1 / (N m)^2].
+        moment : (M_c,) index array
+            The moment of each.
+        variance : float
+            Of what they share [(N m)^2].
+        times_in_log : (moments,) array
+            How often a moment is there in all logs, for each time in its own. Of
+            several logs each tells as much less; 0 where it is there once.
+        """
+        squares = np.bincount(moment, weight)
+        shared = variance * squares * times_in_log
+        norm = np.sqrt(np.maximum(squares, 1e-300))
+        return cls(
+            moment=moment,
+            unit=np.sqrt(weight) / norm[moment],
+            share=1.0 - 1.0 / np.sqrt(1.0 + shared),
+        )
+
+    @cached_property
+    def _means(self) -> csr_array:
+        """The matrix (moments, M_c) of means."""
+        n_rows = len(self.moment)
+        at = (self.moment, np.arange(n_rows))
+        return csr_array((self.unit, at), shape=(len(self.share), n_rows))
+
+    def taken_off(self, scaled: Array) -> Array:
+        """Return columns (M_c, m) of unit noise of columns times the roots of w."""
+        of_moments = self._means @ scaled
+        of_moments *= self.share[:, None]
+        return np.asarray(scaled - self._means.T @ of_moments)
 
 
 @dataclass(frozen=True, kw_only=True)

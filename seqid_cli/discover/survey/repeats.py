@@ -167,7 +167,7 @@ def _phases(scenes: Sequence[Scene]) -> list[_Phase]:
             n_parts = max(n_parts, FEWEST_BLOCKS)
             n_parts += 1 - n_parts % 2
             kept_hz = motion.rate_hz / stride_of(motion)
-            n_moments = max(1, round(length_s * kept_hz))
+            n_moments = n_parts * max(1, round(length_s * kept_hz / n_parts))
 
         share = (motion.t - motion.t[0] + clock.start_s - begin_s) / length_s
         if np.isfinite(clock.period_s):

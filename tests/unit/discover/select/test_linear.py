@@ -11,7 +11,12 @@ from seqid_cli.discover.select import arrow
 from seqid_cli.discover.select import linear as linear_module
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import PriorUpdate
-from seqid_cli.discover.select.rows import ColumnGroup, LogColumns, Observations
+from seqid_cli.discover.select.rows import (
+    ColumnGroup,
+    LogColumns,
+    Observations,
+    Recurring,
+)
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Index
 from tests import Array
@@ -53,6 +58,10 @@ BASE = [
     ColumnGroup(columns=columns(5, 2, channels=1), precision=np.diag([0.3, 4.0])),
 ]
 TERM = ColumnGroup(columns=columns(3, 2), precision=np.diag([0.7, 1.5]))
+
+
+# The first block and the last, of another log, are of one motion.
+PART_OF_BLOCK = np.array([0, 1, 2, 0])
 
 
 def linear(parts: list[ColumnGroup]) -> LinearModel:
@@ -226,6 +235,64 @@ def test_blocks_of_one_motion_are_left_out_together() -> None:
     np.testing.assert_allclose(score.rows, as_joined.rows)
 
 
+def recurring_noise() -> tuple[list[Recurring], list[Array]]:
+    """Noise that three moments of each channel share, and its covariance in full.
+
+    A moment has rows of one part alone, and those of the last are there once.
+    """
+    noise = []
+    covariance = []
+    for channel, block in enumerate(ROWS.block):
+        part = PART_OF_BLOCK[block]
+        moment = np.where(part == 0, 0, 1)
+        moment[np.flatnonzero(part == 2)] = 2
+        times = np.array([1.0, 2.5, 0.0])
+        variance = 0.8 + 0.4 * channel
+        noise.append(Recurring.of(WEIGHT[channel], moment, variance, times))
+        shared = variance * times[moment] * (moment[:, None] == moment)
+        covariance.append(np.diag(1.0 / WEIGHT[channel]) + shared)
+    return noise, covariance
+
+
+def test_noise_that_comes_again_is_as_if_its_covariance_were_written_out() -> None:
+    """Rows times a root of their precision have unit noise, each by itself."""
+    noise, covariance = recurring_noise()
+    rows = replace(ROWS, part_of_block=PART_OF_BLOCK)
+    other = ColumnGroup(columns=columns(9, 3), precision=np.diag([0.4, 1.0, 2.0]))
+    parts = [*BASE, TERM]
+    model = LinearModel(rows, parts, WEIGHT, recurring=noise)
+
+    roots = [np.linalg.cholesky(np.linalg.inv(C)).T for C in covariance]
+
+    def scaled(part: ColumnGroup) -> ColumnGroup:
+        return replace(part, columns={c: roots[c] @ X for c, X in part.columns.items()})
+
+    y = tuple(root @ of_channel for root, of_channel in zip(roots, ROWS.y, strict=True))
+    unit = [np.ones(m) for m in LENGTHS]
+    expected = LinearModel(replace(rows, y=y), [*map(scaled, parts)], unit)
+    np.testing.assert_allclose(model.theta, expected.theta, rtol=1e-9)
+    np.testing.assert_allclose(model.covariance, expected.covariance, rtol=1e-9)
+    gained = model.evidence - model.without(TERM).evidence
+    written_out = expected.evidence - expected.without(expected.parts[-1]).evidence
+    assert gained == pytest.approx(written_out, rel=1e-9)
+    np.testing.assert_allclose(
+        model.jackknife(slice(0, model.size)),
+        expected.jackknife(slice(0, model.size)),
+        rtol=1e-7,
+    )
+    for fit, as_written in (
+        (model.fits([other])[0], expected.fits([scaled(other)])[0]),
+        (model.again(TERM)[0], expected.again(expected.parts[-1])[0]),
+    ):
+        np.testing.assert_allclose(fit.coefficients, as_written.coefficients)
+        np.testing.assert_allclose(fit.covariance, as_written.covariance)
+    np.testing.assert_allclose(
+        model.scores([other])[0].part_gains,
+        expected.scores([scaled(other)])[0].part_gains,
+        rtol=1e-7,
+    )
+
+
 def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
     alone = [
         ColumnGroup(columns=part.columns, precision=0.1 * part.precision)
@@ -274,10 +341,6 @@ def test_another_size_in_every_block_is_worth_what_its_columns_are() -> None:
 
 LOG_OF_BLOCK = np.array([0, 0, 1, 1])
 OWN_SIZE = 2
-
-
-# The first block and the last, of another log, are of one motion.
-PART_OF_BLOCK = np.array([0, 1, 2, 0])
 
 
 def models_of_two_logs(

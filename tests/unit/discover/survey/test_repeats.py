@@ -1,11 +1,11 @@
-"""Which motion comes again, and how much what it has wrong counts then."""
+"""Which motion comes again, and how much of what is left does."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.noise import counted_again
+from seqid_cli.discover.select.noise import Moments
 from seqid_cli.discover.survey.repeats import BLOCK_S, FEWEST_BLOCKS, blocks_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.scene import Scene
@@ -115,22 +115,33 @@ def test_rows_of_a_series_are_in_several_folds() -> None:
     assert all(len(folds) == 1 for folds in of_group.values())
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_what_comes_again_counts_once(share: float) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_the_share_that_comes_again_is_told(share: float) -> None:
     """Twelve times 400 moments; so much of the variance is the same each time."""
     rng = np.random.default_rng(5)
     times, moments = 12, 400
     again = np.tile(rng.standard_normal(moments), times)
     new = rng.standard_normal(times * moments)
     r = np.sqrt(share) * again + np.sqrt(1.0 - share) * new
-    counted = counted_again(r, np.tile(np.arange(moments), times))
-    expected = 1.0 + (times - 1.0) * share
-    np.testing.assert_allclose(counted, expected, atol=0.1 * expected)
+    number = np.tile(np.arange(moments), times)
+    told = Moments.of(number, np.zeros_like(number)).share_again(r)
+    assert told == pytest.approx(share, abs=0.03)
 
 
-def test_what_is_there_once_counts_once() -> None:
+def test_of_moments_that_are_there_once_nothing_comes_again() -> None:
     r = np.random.default_rng(6).standard_normal(300)
-    np.testing.assert_array_equal(counted_again(r, np.arange(300)), 1.0)
+    number = np.arange(300)
+    moments = Moments.of(number, np.zeros_like(number))
+    assert moments.share_again(r) == 0.0
+    assert not moments.times_in_log.any()
+
+
+def test_moments_of_two_logs_count_for_each_log_by_itself() -> None:
+    """The first moment is there twice in one log and once in the other."""
+    moments = Moments.of(np.array([7, 9, 7, 7, 11]), np.array([0, 0, 0, 1, 1]))
+    np.testing.assert_array_equal(moments.times, [3, 1, 1])
+    of_rows = moments.times_in_log[moments.in_log]
+    np.testing.assert_allclose(of_rows, [1.5, 0.0, 1.5, 3.0, 0.0])
 
 
 def test_scenes_that_rest_have_groups_of_their_own() -> None:

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from seqid_cli.errors import SeqidWarning
-from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm, published_links
@@ -32,28 +32,48 @@ from tests.studies.tables import show, table
 
 RATE_HZ = 500.0
 SEED = 7
-HEADER = ("joints", "IMUs", "logs", "s", "samples", "found", "CPU, s", "peak, MiB")
+HEADER = (
+    "joints",
+    "IMUs",
+    "logs",
+    "s",
+    "samples",
+    "largest effect",
+    "effects found",
+    "CPU, s",
+    "peak, MiB",
+)
 
 
 class Load(NamedTuple):
-    """What is diagnosed: so many logs of so many seconds each."""
+    """What is diagnosed: so many logs of so many seconds each.
+
+    Attributes
+    ----------
+    alone : bool
+        Whether the gear's loss is all that the file lacks: friction is the same at all
+        positions.
+    """
 
     arm: str
     joints: int
     imus: bool
     logs: int
     seconds: float
+    alone: bool = False
 
 
 LOADS = (
     Load("drawn", 2, True, 1, 30.0),
     Load("drawn", 2, True, 1, 120.0),
+    Load("ur10", 6, True, 1, 120.0, alone=True),
     Load("ur10", 6, True, 1, 120.0),
     Load("panda", 7, False, 1, 30.0),
     Load("panda", 7, False, 1, 120.0),
     Load("panda", 7, False, 8, 15.0),
     Load("panda", 7, True, 1, 30.0),
     Load("panda", 7, True, 1, 60.0),
+    Load("panda", 7, True, 1, 120.0, alone=True),
     Load("panda", 7, True, 1, 120.0),
     Load("panda", 7, True, 8, 15.0),
 )
@@ -64,6 +84,9 @@ def case_of(load: Load) -> Case:
     rng = np.random.default_rng(SEED)
     n = load.joints if load.arm == "drawn" else len(published_links(load.arm))
     arm = replace(drawn_arm(rng, load.arm, n, load.imus), rate_hz=RATE_HZ)
+    if load.alone:
+        even = tuple(replace(drive, waviness=0.0) for drive in arm.drives)
+        arm = replace(arm, drives=even)
     kinds = ("load_dependent_friction",)
     outline = Outline(SEED, kinds, "step_late", load.arm, n, load.imus, False, False)
     effect = replace(
@@ -99,6 +122,7 @@ def measured(load: Load, folder: Path) -> tuple[str, ...]:
     if status:
         raise RuntimeError(f"diagnose ended with {status}")
     found = found_in(output)
+    largest = f"{found[0].effect} at {found[0].joint}" if found else "nothing"
     samples = round(load.logs * load.seconds * RATE_HZ)
     return (
         str(case.arm.n),
@@ -106,16 +130,16 @@ def measured(load: Load, folder: Path) -> tuple[str, ...]:
         str(load.logs),
         f"{load.seconds:.0f}",
         f"{samples:,}",
-        found,
+        largest,
+        str(len(found)),
         f"{usage.ru_utime + usage.ru_stime:.1f}",
         f"{usage.ru_maxrss / 1024:.0f}",
     )
 
 
-def found_in(path: Path) -> str:
-    """Return the surest finding of a diagnosis file."""
-    findings = msgspec.json.decode(path.read_bytes(), type=DiagnosisFile).findings
-    return ", ".join(f"{x.effect} at {x.joint}" for x in findings[:1]) or "nothing"
+def found_in(path: Path) -> list[FindingEntry]:
+    """Return the findings of a diagnosis file, the surest first."""
+    return msgspec.json.decode(path.read_bytes(), type=DiagnosisFile).findings
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from seqid_cli.discover.nuisances import DELAY, Nuisance, nuisances_of
 from seqid_cli.discover.select.model import SelectionProblem
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import ScoredTerm
-from seqid_cli.discover.select.rows import Score, TermFit
+from seqid_cli.discover.select.rows import Observations, Score, TermFit
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.verdict import _since, joint_states, verdict_of
 from seqid_cli.effects.scene import Scene
@@ -59,10 +59,10 @@ class Left:
 
     @property
     def ground(self) -> SimpleNamespace:
-        rows = SimpleNamespace(
-            block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS
-        )
-        base = SimpleNamespace(y=[np.full(BLOCKS * EACH, self.by_file)])
+        y = np.full(BLOCKS * EACH, self.by_file)
+        block = np.repeat(np.arange(BLOCKS), EACH)
+        rows = Observations(y=(y,), block=(block,), blocks=BLOCKS)
+        base = SimpleNamespace(y=[y])
         torque = (np.full(BLOCKS * EACH, self.torque),)
         return SimpleNamespace(
             n=1, rows=rows, base=base, torque=torque, options=Options()
@@ -234,7 +234,7 @@ def scored(term: Term, gain: float) -> ScoredTerm:
         visible_share=1.0,
     )
     score = Score(
-        block_gains=np.full(BLOCKS, gain / BLOCKS) + uneven,
+        part_gains=np.full(BLOCKS, gain / BLOCKS) + uneven,
         rows=np.full(BLOCKS, ROWS / BLOCKS),
     )
     return ScoredTerm(term=term, fit=fit, score=score)

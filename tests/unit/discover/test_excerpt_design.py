@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.excerpts import PIECE_S, ResidualSurvey, excerpts_of
-from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.discover.survey.repeats import BLOCK_S
 from seqid_cli.logs.recording import Whole
 from tests import Array
 

@@ -282,11 +282,12 @@ def _refined(
         nearest = np.rint(shift)
         at = np.clip(rows - nearest.astype(np.intp), 0, len(scanned.readings) - 1)
         X = scanned.features[at] + (nearest - shift)[:, None] * slopes[at]
-        fit = _fit(X, y)
+        span = _Span.of(X)
+        fit = span.fit(y)
         # How the residual moves with the clock, as far as no other map makes up for it.
         moved = slopes[at] @ fit.map.T
         by_clock = np.stack(
-            [_fit(X, moved * power[:, None]).residual for power in powers.T], axis=2
+            [span.fit(moved * power[:, None]).residual for power in powers.T], axis=2
         )
         information = np.einsum("rka,rkb->ab", by_clock, by_clock)
         pull = -np.einsum("rka,rk->ra", by_clock, fit.residual)
@@ -390,13 +391,36 @@ class _MapFit(NamedTuple):
     map: Array
 
 
-def _fit(X: Array, y: Array, *, rcond: float = 1e-6) -> _MapFit:
-    """Fit readings y (R, K) by features X (R, p), both without their means."""
-    X = X - X.mean(axis=0)
-    y = y - y.mean(axis=0)
-    scale = np.maximum(X.std(axis=0), 1e-9)
-    theta = np.linalg.lstsq(X / scale, y, rcond=rcond)[0] / scale[:, None]
-    return _MapFit(residual=np.asarray(y - X @ theta), map=theta.T)
+class _Span(NamedTuple):
+    """Features (R, p) without their means, by their directions (R, r) that show.
+
+    `inverse` (p, r) takes what is along each direction to the features' coefficients.
+    """
+
+    directions: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, X: Array, *, rcond: float = 1e-6) -> "_Span":
+        """Find directions of features X (R, p), `rcond` times the largest or more."""
+        X = X - X.mean(axis=0)
+        scale = np.maximum(X.std(axis=0), 1e-9)
+        Q, triangle = np.linalg.qr(X / scale)
+        U, s, Vt = np.linalg.svd(triangle)
+        shows = s > rcond * s[0]
+        return cls(
+            directions=Q @ U[:, shows],
+            inverse=Vt[shows].T / (scale[:, None] * s[shows]),
+        )
+
+    def fit(self, y: Array) -> _MapFit:
+        """Fit readings y (R, K), without their means, by the features."""
+        y = y - y.mean(axis=0)
+        along = self.directions.T @ y
+        return _MapFit(
+            residual=np.asarray(y - self.directions @ along),
+            map=np.asarray((self.inverse @ along).T),
+        )
 
 
 def follow(data: LogData) -> list[LinkFit]:

@@ -66,9 +66,13 @@ def _first_time(
 
 def _squares(joints: Sequence[Accumulator]) -> Array:
     """Return sums of squares (G, n p) of all columns, block by block."""
-    return np.hstack(
-        [np.sum(np.array(joint.blocks)[:, :, :-1] ** 2, axis=1) for joint in joints]
-    )
+    # Factor by factor: all blocks of the logs so far, copied for each log that is
+    # added, would be most of what this takes.
+    by_joint = [
+        [np.einsum("kp,kp->p", factor, factor)[:-1] for factor in joint.blocks]
+        for joint in joints
+    ]
+    return np.hstack(by_joint)
 
 
 def _is_same(

@@ -148,7 +148,7 @@ study-truth: $(DEV) ## does `good` mean good: tuning arms with imperfections on 
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/evidence/benchmarks.md (minutes)
-	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery exported_step
+	$(BIN)/python -m tests.studies --only ingestion fixed inspected beside_figaroh over_size kernels whole_run smoother discovery exported_step
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $(OUT)/fuzz

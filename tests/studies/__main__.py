@@ -6,7 +6,14 @@ import time
 from collections.abc import Callable, Mapping
 
 from tests import ROOT
-from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
+from tests.benchmarks import (
+    discovery,
+    exported,
+    ingestion,
+    kernels,
+    processes,
+    whole_run,
+)
 from tests.studies import (
     bands,
     confirmed,
@@ -48,6 +55,10 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "recorded_all": (RECORDED, recorded_all.study),
     "reduced": (RECORDED, reduced.study),
     "ingestion": (COSTS, ingestion.study),
+    "fixed": (COSTS, processes.fixed),
+    "inspected": (COSTS, processes.inspected),
+    "beside_figaroh": (COSTS, processes.beside_figaroh),
+    "over_size": (COSTS, processes.over_size),
     "kernels": (COSTS, kernels.study),
     "whole_run": (COSTS, whole_run.study),
     "smoother": (COSTS, kernels.smoother),

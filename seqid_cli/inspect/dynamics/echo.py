@@ -96,9 +96,12 @@ def echoes(
     distance = step * (np.abs(v) * directions).sum(axis=1)
     both_ways = ((n_windows >= fewest) & (distance >= travel)).all(axis=0)
 
+    candidates = np.flatnonzero(driven(q_mean) & both_ways).tolist()
+    if not candidates:
+        return []
     H = gravity_base_regressor(robot, base_parameters(robot, rotor=()), q_mean)
     echoing: list[int] = []
-    for j in np.flatnonzero(driven(q_mean) & both_ways).tolist():
+    for j in candidates:
         rows = np.flatnonzero(slides[:, j])
         stride = max(1, len(rows) // most_windows)
         rows = rows[::stride]

@@ -5,8 +5,9 @@ Damages sound files of every kind at random and gives them to the commands that 
 them. Every one must end with a result or a message: no traceback, no exit code 70, no
 warning of a library, no claim that does not hold, at most 10 s of CPU time and 1 GiB.
 What is not answered so is kept in the folder of --keep. Inputs that got an answer of
-their own are kept in its folder `corpus`, and are damaged further in the next run. With
---write the table goes into docs/evidence/damage.md.
+their own are kept in its folder `corpus`, and are damaged further in the next run.
+What came of each slice is written down in its file `tried.jsonl`: a run that was
+stopped goes on behind it. With --write the table goes into docs/evidence/damage.md.
 """
 
 import argparse
@@ -15,25 +16,17 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from tests.studies.fuzz.counts import HEADER, Counts, counted, row
 from tests.studies.fuzz.run import LONGEST, SLICE, Outcome, Tally, fuzz
 from tests.studies.fuzz.target import Target
 from tests.studies.fuzz.targets import targets
+from tests.studies.records import package_sources, results
 from tests.studies.tables import show, table
 
-HEADER = (
-    "file",
-    "inputs",
-    "read",
-    "refused",
-    "answers",
-    "not well",
-    "slowest, s",
-    "peak, MiB",
-)
 # Inputs of a target before the next has its turn, and where time is short.
 ROUND, SHORT_ROUND = SLICE, 10
 
@@ -64,28 +57,82 @@ def main() -> int:
             made = [
                 replace(target, lines=[target.alone]) for target in made if target.alone
             ]
-        corpus = chosen.keep / "corpus"
-        tallies = {target.name: Tally(kept=_read(corpus, target)) for target in made}
-        turn = ROUND if chosen.seconds == float("inf") else SHORT_ROUND
-        end = time.monotonic() + chosen.seconds
-        for done in range(0, chosen.count, turn):
-            for number, target in enumerate(made):
-                if time.monotonic() > end:
-                    break
-                folder, tally = Path(name) / f"target_{number}", tallies[target.name]
-                folder.mkdir(exist_ok=True)
-                parts = repr((target.name, chosen.seed, done)).encode()
-                seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
-                before = len(tally.outcomes)
-                fuzz(target, folder, min(turn, chosen.count - done), seed, tally)
-                _keep(target, tally.outcomes[before:], chosen.keep)
-                told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
-                sys.stderr.write(f"{target.name}: {told}\n")
-            if time.monotonic() > end:
-                break
+        slices = _tried(made, Path(name), chosen)
+
     study = "fuzz_readers" if chosen.readers else "fuzz"
-    show("evidence/damage.md", study, table(HEADER, rows(tallies)), kept=chosen.write)
-    return 1 if any(tally.finds for tally in tallies.values()) else 0
+    rows = [row(target.name, slices[target.name]) for target in made]
+    show("evidence/damage.md", study, table(HEADER, rows), kept=chosen.write)
+    finds = [sum(counts.finds.values()) for each in slices.values() for counts in each]
+    return 1 if any(finds) else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slice:
+    """Inputs of one kind that are tried in one go.
+
+    `seed` holds what the damages are drawn by. What came of them joins `tally`, and
+    finds go to the folder `keep`.
+    """
+
+    target: Target
+    folder: Path
+    tally: Tally
+    count: int
+    seed: tuple[str, int, int]
+    keep: Path
+
+
+def _tried(
+    made: Sequence[Target], work: Path, chosen: argparse.Namespace
+) -> dict[str, list[Counts]]:
+    """Try every kind in turn, a slice at a time; return what came of each slice."""
+    counts: dict[str, list[Counts]] = {target.name: [] for target in made}
+    corpus = chosen.keep / "corpus"
+    tallies = {target.name: Tally(kept=_read(corpus, target)) for target in made}
+    turn = ROUND if chosen.seconds == float("inf") else SHORT_ROUND
+    end = time.monotonic() + chosen.seconds
+    # Slices that were tried with another state of the program are tried again.
+    sources = package_sources()
+
+    for done in range(0, chosen.count, turn):
+        for number, target in enumerate(made):
+            if time.monotonic() > end:
+                return counts
+            piece = Slice(
+                target=target,
+                folder=work / f"target_{number}",
+                tally=tallies[target.name],
+                count=min(turn, chosen.count - done),
+                seed=(target.name, chosen.seed, done),
+                keep=chosen.keep,
+            )
+            of_slice = results(
+                {repr((*piece.seed, piece.count, chosen.readers)): piece},
+                work=_try,
+                kind=Counts,
+                path=chosen.keep / "tried.jsonl",
+                sources=sources,
+                told=lambda made: f"{sum(made.finds.values())} finds",
+            )
+            counts[target.name] += of_slice.values()
+    return counts
+
+
+def _try(piece: Slice) -> Counts:
+    """Try the inputs of a slice, and keep what is worth it."""
+    piece.folder.mkdir(exist_ok=True)
+    digest = hashlib.sha256(repr(piece.seed).encode()).digest()
+    before = len(piece.tally.outcomes)
+    fuzz(
+        piece.target,
+        piece.folder,
+        piece.count,
+        int.from_bytes(digest[:6]),
+        piece.tally,
+    )
+    outcomes = piece.tally.outcomes[before:]
+    _keep(piece.target, outcomes, piece.keep)
+    return counted(outcomes)
 
 
 def _folder(corpus: Path, target: Target) -> Path:
@@ -114,18 +161,6 @@ def _keep(target: Target, outcomes: Sequence[Outcome], keep: Path) -> None:
             "\n".join(parts), encoding="utf-8", errors="backslashreplace"
         )
         sys.stderr.write(f"{path}: {outcome.why}: {' '.join(outcome.line)}\n")
-
-
-def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
-    cells = []
-    for name, tally in tallies.items():
-        codes, every = tally.codes, tally.outcomes
-        read = sum(codes[code] for code in (0, 1, 3))
-        counts = (len(every), read, codes[2], len(tally.answers), len(tally.finds))
-        slowest = max((outcome.seconds for outcome in every), default=0.0)
-        peak = max((outcome.peak for outcome in every), default=0) >> 10
-        cells.append([name, *map(str, counts), f"{slowest:.1f}", str(peak)])
-    return cells
 
 
 if __name__ == "__main__":

@@ -2,8 +2,12 @@
 
 import copy
 import json
+import os
+import signal
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -12,6 +16,7 @@ from typer.models import TyperPath
 from seqid_cli.commands.app import COMMANDS, load_command
 from seqid_cli.params.encode import encode
 from tests.senseless import senseless
+from tests.studies.fuzz.answers import answer
 from tests.studies.fuzz.claims import broken, groundless
 from tests.studies.fuzz.command_lines import (
     OTHER_WRITTEN,
@@ -19,7 +24,12 @@ from tests.studies.fuzz.command_lines import (
     lines_for,
     reading_places,
 )
+from tests.studies.fuzz.counts import FINDS, HEADER, OTHER, counted, row
+from tests.studies.fuzz.mutations import flip
+from tests.studies.fuzz.readers import READERS
+from tests.studies.fuzz.run import Outcome, Tally, fuzz
 from tests.studies.fuzz.shapes import json_shape, toml_shape, xml_shape
+from tests.studies.fuzz.target import Target
 from tests.unit.params.documents import full_file
 from tests.unit.report.pages import prediction_file
 
@@ -96,3 +106,52 @@ def test_shapes_are_deep_or_wide() -> None:
             sizes.append(len(data))
         assert max(sizes) > 20_000
         assert len(set(sizes)) > 5
+
+
+def _bug(_: Sequence[str]) -> int:
+    raise ZeroDivisionError
+
+
+def _busy(_: Sequence[str]) -> int:
+    while True:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("kind", "program"),
+    [("tracebacks", _bug), ("over 10 s", _busy), ("exit 70", lambda _: 70)],
+)
+def test_what_is_wrong_with_an_answer_has_a_column(
+    kind: str, program: Callable[[Sequence[str]], int]
+) -> None:
+    code, _, why = answer((), cpu_s=0.05, program=program)
+    counts = counted([Outcome(why, (code, ""))])
+    assert counts.finds == dict.fromkeys((*FINDS, OTHER), 0) | {kind: 1}
+
+
+def _deadly(_: bytearray, __: np.random.Generator) -> None:
+    """Leave the file alone, and make its reader kill the process."""
+    dying = {"read_result": lambda _: os.kill(os.getpid(), signal.SIGSEGV)}
+    mock.patch.dict(READERS, dying).start()
+
+
+def test_a_reader_that_kills_its_child_is_counted(tmp_path: Path) -> None:
+    target = Target(
+        name="parameters",
+        file="file.json",
+        seeds=[encode(full_file()).encode()],
+        damages=[flip, _deadly],
+        lines=[("read_result", "{}")],
+        alone=(),
+    )
+    tally = Tally()
+    fuzz(target, tmp_path, count=12, seed=0, tally=tally)
+    counts = counted(tally.outcomes)
+    deadly = sum(outcome.answer == (-1, "") for outcome in tally.outcomes)
+    assert counts.finds == dict.fromkeys((*FINDS, OTHER), 0) | {"signals": deadly}
+    assert 0 < deadly < counts.inputs == 12
+    assert counts.read + counts.refused + deadly == 12
+
+    cells = dict(zip(HEADER, row("parameters", [counts, counts]), strict=True))
+    assert (cells["inputs"], cells["signals"]) == ("24", str(2 * deadly))
+    assert cells["answers"] == str(len(counts.answers))

@@ -18,6 +18,7 @@ from seqid_cli.commands.options import (
     command_app,
     examples,
 )
+from seqid_cli.commands.screen.render import screen_for
 
 app = command_app()
 
@@ -42,7 +43,15 @@ def completion(
     debug: DebugOption = False,
 ) -> int:
     """Print the completion script of a shell."""
-    sys.stdout.write(script(shell, all_words()))
+    screen = screen_for(
+        "completion", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    text = script(shell, all_words())
+    if screen.json:
+        screen.document({"shell": shell, "script": text})
+    else:
+        # As it is: what a shell reads is not folded.
+        sys.stdout.write(text)
     return 0
 
 

@@ -99,6 +99,11 @@ def test_scripts_are_valid_and_name_every_command(shell: str) -> None:
     subprocess.run([shell, "-n"], input=text, text=True, check=True)
 
 
+def test_a_script_is_a_document_where_that_is_asked_for(rig: Rig) -> None:
+    document = json.loads(rig.run("completion", "bash", "--json").out)
+    assert document == {"shell": "bash", "script": script("bash", all_words())}
+
+
 HEAVY = {
     "numpy", "scipy", "pinocchio", "pyarrow", "mcap", "mcap_ros2", "rich", "pydantic",
     "matplotlib",

@@ -28,7 +28,7 @@ from seqid_cli.logs.messages.batch import (
     Payloads,
     row_of,
 )
-from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Rows, Stamps
+from seqid_cli.logs.raw import Mask, Rows, Stamps
 
 Words = NDArray[np.uint64]
 
@@ -195,8 +195,8 @@ class Layout:
         header = rows[:, self.pad + _ENCAPSULATION :]
         seconds = header[:, :4].view(f"{self.order}i4")[:, 0]
         nanoseconds = header[:, 4:8].view(f"{self.order}u4")[:, 0]
-        limit_s = STAMP_LIMIT_NS // _SEC
-        is_good = (nanoseconds < _SEC) & (seconds >= -limit_s) & (seconds < limit_s)
+        # Seconds of 32 bits stay within the limit of stamps.
+        is_good = nanoseconds < _SEC
         stamp_ns = seconds.astype(np.int64) * _SEC + nanoseconds
         stamps: Stamps = np.where(is_good, stamp_ns, 0)
         return fits, Decoded(stamps, values, is_good)

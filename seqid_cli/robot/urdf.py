@@ -286,13 +286,35 @@ def _faults_of_the_tree(
             )
 
     roots = [name for name in links if name not in mover_of]
-    if len(roots) != 1:
+    hanging = _hanging_from(roots, joints)
+    loose = [name for name in links if name not in hanging]
+    fault = ""
+    if not roots:
         fault = "a loop, no root"
-        if roots:
-            fault = f"{len(roots)} root links ({', '.join(roots[:5])})"
+    elif len(roots) > 1:
+        fault = f"{len(roots)} root links ({', '.join(roots[:5])})"
+    elif loose:
+        fault = f"a loop of links beside its tree ({', '.join(loose[:5])})"
+    if fault:
         yield Problem(
             f"it has {fault}", "All links must hang in one tree from one root."
         )
+
+
+def _hanging_from(roots: Sequence[str], joints: Sequence[UrdfJoint]) -> set[str]:
+    """Return the roots, and all links that joints hang from them."""
+    children_of: dict[str, list[str]] = {}
+    for joint in joints:
+        children_of.setdefault(joint.parent, []).append(joint.child)
+
+    hanging: set[str] = set()
+    waiting = list(roots)
+    while waiting:
+        link = waiting.pop()
+        if link not in hanging:
+            hanging.add(link)
+            waiting += children_of.get(link, ())
+    return hanging
 
 
 def _repeated(kind: str, names: list[str]) -> Iterator[Problem]:

@@ -153,6 +153,20 @@ TURN = joint("turn", "a", "b")
         ),
         (urdf(link("a"), link("b"), TURN, TURN), "two joints are named 'turn'"),
         (urdf(link("a"), link("b"), link("c"), TURN), "2 root links"),
+        (urdf(link("a"), joint("turn", "a", "a")), "a loop, no root"),
+        (
+            urdf(link("a"), link("b"), link("c"), TURN, joint("own", "c", "c")),
+            r"a loop of links beside its tree \(c\)",
+        ),
+        (
+            urdf(
+                *(link(name) for name in "abcd"),
+                TURN,
+                joint("there", "c", "d"),
+                joint("back", "d", "c"),
+            ),
+            r"a loop of links beside its tree \(c, d\)",
+        ),
         (turning(xyz="0 nan 0"), "finite"),
         (turning(axis="0 0 0"), "no direction"),
         (turning(xyz="0 x 0"), "xyz='0 x 0'"),

@@ -22,7 +22,7 @@ from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.read import TorqueLackingError
 from seqid_cli.logs.reading import HEADER_STAMPS, Reading
-from seqid_cli.logs.storage.files import time_of_log
+from seqid_cli.logs.storage.files import time_of_log, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
@@ -141,10 +141,23 @@ def inspect_log(
         A log that cannot be read has the finding `unreadable`.
     """
     try:
-        contents = contents_of(path, glance=True)
+        log = LogFile.at(path, reading=reading)
+        # It is looked at more than once: what it holds, then what its channels say.
+        with unchanged(log.file, log.state):
+            return _inspected(path, robot, settings, reading, known)
     except InputError as error:
         return _unreadable(path, error)
 
+
+def _inspected(
+    path: Path,
+    robot: Robot | None,
+    settings: InspectSettings,
+    reading: Reading,
+    known: Known,
+) -> Inspected:
+    """Inspect one log, whose content can be listed; as `inspect_log`."""
+    contents = contents_of(path, glance=True)
     reader = _Reader(
         path=path,
         form=contents.format,

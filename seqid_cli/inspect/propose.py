@@ -25,7 +25,9 @@ from seqid_cli.inspect.proposed_channels import (
     units_of,
 )
 from seqid_cli.logs.contents import LogContents, contents_of
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.reading import HEADER_STAMPS, Reading
+from seqid_cli.logs.storage.files import unchanged
 from seqid_cli.logs.tables.naming_schemes import find_scheme
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
@@ -83,10 +85,12 @@ def propose(
     UsageError
         `drives` have another number of values.
     """
-    contents = contents_of(paths[0])
     known = Known(joints=urdf.movable if urdf is not None else (), rate=rate)
-    guessed = guess(contents, known)
-    reports = [inspect_log(path, known=known, reading=reading) for path in paths]
+    first = LogFile.at(paths[0], reading=reading)
+    with unchanged(first.file, first.state):
+        contents = contents_of(paths[0])
+        guessed = guess(contents, known)
+        reports = [inspect_log(path, known=known, reading=reading) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
             problem = report.findings[0]

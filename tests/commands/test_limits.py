@@ -21,8 +21,10 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.discover import excerpts
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
+from seqid_cli.inspect import inspection, propose
 from seqid_cli.logs import long as long_logs
 from seqid_cli.logs import pieces
+from seqid_cli.logs.contents import LogContents, contents_of
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import robot_id, with_stage
@@ -32,6 +34,7 @@ from tests.commands.conftest import ONE_JOINT, Rig
 from tests.plants.robots.seven_joint import known_model, write_arm, write_log
 from tests.studies.kills import torment
 from tests.studies.soak import write_log as write_hours
+from tests.unit.logs import format_writers as formats
 
 ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
 MODEL = ("-p", str(ONE_JOINT / "golden.json"))
@@ -62,6 +65,28 @@ def test_a_log_that_changes_is_refused(
     assert done.code == 2
     assert said in done.err
     assert not (rig.folder / "p.json").exists()
+
+
+@pytest.mark.parametrize("command", ["inspect", "init"])
+def test_a_log_that_grows_between_two_looks_is_refused(
+    command: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its channels are those of one look, and what they say of another."""
+    log = formats.csv_own(
+        rig.folder / "log.csv", formats.moving(["shoulder", "elbow"], 60)
+    )
+
+    def growing(path: Path, *, glance: bool = False) -> LogContents:
+        contents = contents_of(path, glance=glance)
+        with log.open("a") as stream:
+            stream.write(log.read_text().splitlines()[-1] + "\n")
+        return contents
+
+    for module in (inspection, propose):
+        monkeypatch.setattr(module, "contents_of", growing)
+    done = rig.run(command, "log.csv", "-o", "out.toml")
+    assert done.code == 2
+    assert "changed while it was read" in done.err
 
 
 def test_too_little_memory_is_no_bug(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ from tests.studies.fuzz.thrift import footer, page
 from tests.unit.drive.test_command import bench
 from tests.unit.inspect.faults import SAMPLES
 from tests.unit.logs import format_writers as formats
-from tests.unit.logs.samples import grid, make_motion
+from tests.unit.logs.samples import make_motion
 from tests.unit.logs.writers import rewrite, write_mcap
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file
 from tests.unit.report.pages import (
@@ -137,10 +137,7 @@ def _robots(arm: Mapping[str, bytes], sample: Mapping[str, bytes]) -> list[Targe
 
 
 def _data(rows: int = 60) -> formats.Data:
-    motion = make_motion(grid(rows), n=2)
-    return formats.Data(
-        motion.t, tuple(JOINTS), motion.q, motion.dq, motion.tau, motion.tau
-    )
+    return formats.moving(JOINTS, rows)
 
 
 def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
@@ -248,13 +245,13 @@ def _logs(work: Path, arm: Mapping[str, bytes]) -> list[Target]:
         Target(name, LOG, seeds, how, lines, readers.LOG, arm)
         for name, (seeds, how) in logs.items()
     ]
+    # A bag has it, and that is all that is asked of it: readers alone do not read it.
     yaml = [(work / "rosbag2" / "0" / "metadata.yaml").read_bytes()]
     name, bag_lines = "ROS 2 bag: metadata.yaml", _in_place_of("{}", "{@}/bag", lines)
-    (alone,) = _in_place_of("{}", "{@}/bag", [readers.LOG])
     beside = {**arm, "bag/0.db3": bag[0]}
     return [
         *found,
-        Target(name, "bag/metadata.yaml", yaml, TEXT, bag_lines, alone, beside),
+        Target(name, "bag/metadata.yaml", yaml, TEXT, bag_lines, (), beside),
     ]
 
 

@@ -23,6 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
 from tests.unit.logs import writers
+from tests.unit.logs.samples import grid, make_motion
 from tests.unit.logs.writers import (
     Message,
     as_json,
@@ -48,6 +49,19 @@ class Data:
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
         return np.rint(self.t * 1e9).astype(np.int64) + T0_NS
+
+
+def moving(joints: Sequence[str], rows: int) -> Data:
+    """Return what a log of joints in motion shall hold."""
+    motion = make_motion(grid(rows), n=len(joints))
+    return Data(
+        t=motion.t,
+        joints=tuple(joints),
+        q=motion.q,
+        dq=motion.dq,
+        current=motion.tau,
+        torque=motion.tau,
+    )
 
 
 Write = Callable[[Path, Data], Path]

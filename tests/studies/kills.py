@@ -134,7 +134,9 @@ def _count_events(pipe: int, target: Path) -> None:
         count += 1
         if not first and any(files.leftovers(target)):
             first = count
-        if event == "return" and frame.f_code.co_name == "replace":
+        # Other functions are called `replace` as well.
+        is_named = frame.f_code is Path.replace.__code__
+        if event == "return" and is_named and frame.f_locals["target"] == target:
             os.write(pipe, f"{first} {count + AFTER}".encode())
             # The rest of the command is for the others.
             os._exit(0)

@@ -20,13 +20,32 @@ from tests.studies.tables import show, table
 
 SAMPLE = ROOT / "sample_logs" / "one_joint"
 TRIAL = SAMPLE / "inertia" / "joint_1.parquet"
+# The stages that the other trials are of.
+STAGE_TRIALS = {
+    "friction": SAMPLE / "friction" / "joint_1.parquet",
+    "gravity": SAMPLE / "gravity" / "joint_1.parquet",
+}
 PAUSE_S, NOISE = 1.0, 0.01  # between two trials; of a channel's standard deviation
 HEADER = ("command", "within 1 GiB", "exit code", "peak, MiB", "CPU, s")
 
 
-def write_log(path: Path, hours: float) -> int:
-    """Write a log of some hours; returns its rows."""
-    trial, rng, begun, rows = pq.read_table(TRIAL), np.random.default_rng(0), 0.0, 0
+def with_imus(trial: pa.Table) -> pa.Table:
+    """Return a trial with readings of IMUs, of another motion where it has none.
+
+    Stages that read no IMU pass over columns as wide as those of the others.
+    """
+    others = pq.read_table(TRIAL)
+    for name in others.column_names:
+        if name not in trial.column_names:
+            readings = np.resize(others.column(name).to_numpy(), len(trial))
+            trial = trial.append_column(name, pa.array(readings))
+    return trial
+
+
+def write_log(path: Path, hours: float, source: Path = TRIAL) -> int:
+    """Write a log of some hours, of a trial again and again; returns its rows."""
+    trial, rng = with_imus(pq.read_table(source)), np.random.default_rng(0)
+    begun, rows = 0.0, 0
     names = ("t", "joint_1.current")
     t, current = (trial.column(name).to_numpy() for name in names)
     with pq.ParquetWriter(path, trial.schema) as writer:
@@ -43,21 +62,22 @@ def write_log(path: Path, hours: float) -> int:
     return rows
 
 
-def lines(log: Path) -> Iterator[tuple[str, ...]]:
-    out, given = log.parent, (str(log), "-r", str(SAMPLE / "robot.toml"))
-    model = (*given, "-p", str(SAMPLE / "golden.json"))
-    encoder = (*model, "--motion", "encoder")
-    yield "inspect", *given
-    yield "inertia", *encoder, "-o", str(out / "inertia.json")
-    yield (
-        "predict",
-        *encoder,
-        "-o",
-        str(out / "p.json"),
-        "--torques",
-        str(out / "t.parquet"),
-    )
-    yield "diagnose", *model, "-o", str(out / "d.json")
+def lines(folder: Path) -> Iterator[tuple[str, ...]]:
+    """Yield what runs on the logs in a folder, each named after its trial."""
+    robot = ("-r", str(SAMPLE / "robot.toml"))
+    model = (*robot, "-p", str(SAMPLE / "golden.json"))
+    motion = str(folder / "motion.parquet")
+    out = str(folder / "out.json")
+
+    yield "inspect", motion, *robot
+    yield "friction", str(folder / "friction.parquet"), *robot, "-o", out
+    yield "gravity", str(folder / "gravity.parquet"), *model, "-o", out
+    yield "diagnose", motion, *model, "-o", out
+    torques = ("--torques", str(folder / "torques.parquet"))
+    for source in ("encoder", "auto"):
+        words = (motion, *model, "--motion", source, "-o", out)
+        yield "inertia", *words
+        yield "predict", *words, *torques
 
 
 def measured(line: Sequence[str]) -> tuple[str, ...]:
@@ -65,8 +85,11 @@ def measured(line: Sequence[str]) -> tuple[str, ...]:
     enough = "too little memory" not in said
     if not enough:
         code, said, peak, cpu = _run(line, None)
-    sys.stderr.write(f"{line[0]}: {enough}, {code}: {said[-300:]}\n")
-    return line[0], "yes" if enough else "says no", str(code), str(peak), f"{cpu:.0f}"
+    label = line[0]
+    if "--motion" in line:
+        label += f" --motion {line[line.index('--motion') + 1]}"
+    sys.stderr.write(f"{label}: {enough}, {code}: {said[-300:]}\n")
+    return label, "yes" if enough else "says no", str(code), str(peak), f"{cpu:.0f}"
 
 
 def _limit() -> None:
@@ -98,6 +121,7 @@ def main() -> int:
         prog="python -m tests.studies.soak", description=__doc__
     )
     parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--only", default="", help="a command")
     parser.add_argument(
         "--write",
         action="store_true",
@@ -105,11 +129,13 @@ def main() -> int:
     )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
-        log = Path(work) / "long.parquet"
-        sys.stderr.write(
-            f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n"
-        )
-        cells = [measured(line) for line in lines(log)]
+        for name, trial in {**STAGE_TRIALS, "motion": TRIAL}.items():
+            log = Path(work) / f"{name}.parquet"
+            rows = write_log(log, chosen.hours, trial)
+            size_mib = log.stat().st_size >> 20
+            sys.stderr.write(f"{name}: {rows} rows, {size_mib} MiB\n")
+        of_name = [line for line in lines(Path(work)) if chosen.only in line[0]]
+        cells = [measured(line) for line in of_name]
     show("evidence/damage.md", "soak", table(HEADER, cells), kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0
 

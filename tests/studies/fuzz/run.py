@@ -1,9 +1,9 @@
 """Run command lines on damaged files, each in a child, and say what was not answered
 well.
 
-A server imports the program once and forks a child for each input. The child damages a
-file and runs a command line on it. It may die: what the server sees then is a find, and
-the next input gets a child of its own.
+A server imports the program once and forks children. A child damages a file and runs a
+command line on it; one that reads files without a command takes some after each other.
+It may die: what the server sees then is a find, and the next input gets another child.
 """
 
 import contextlib
@@ -11,10 +11,8 @@ import gc
 import importlib
 import multiprocessing
 import os
-import pickle
 import re
 import resource
-import select
 import shutil
 import signal
 import sys
@@ -26,6 +24,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import IO, NoReturn
 
 import numpy as np
 
@@ -34,13 +33,15 @@ from tests.studies.fuzz.answers import CPU_S, answer
 from tests.studies.fuzz.claims import broken
 from tests.studies.fuzz.mutations import mutated
 from tests.studies.fuzz.readers import READERS, read_alone
-from tests.studies.fuzz.target import Target
+from tests.studies.fuzz.target import Line, Target
 
 # How long a child may stand still, which takes no CPU time [s].
 WALL_S = 300.0
 PEAK_KIB = 1 << 20
 # Inputs of a server. It imports anew what readers need, which takes it a second.
 SLICE = 1000
+# Inputs that a child reads one after the other; a command gets a child of its own.
+OF_A_CHILD = 25
 # Address space of a child: what asks for more than this dies or says so.
 SPACE = 4 << 30
 # Seconds beyond what a command may take, after which the kernel ends a child that
@@ -118,8 +119,26 @@ def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
     return [word.replace("{@}", str(folder)) for word in words]
 
 
+@dataclass(frozen=True)
+class Known:
+    """Answers that inputs got, and inputs that got one of their own."""
+
+    answers: set[Answer]
+    fresh: list[bytes]
+
+    def is_new(self, answer: Answer) -> bool:
+        return answer not in self.answers and len(self.answers) < ANSWERS
+
+    def learn(self, outcome: Outcome) -> None:
+        if not self.is_new(outcome.answer):
+            return
+        self.answers.add(outcome.answer)
+        if not outcome.why and 0 < len(outcome.data) < LONGEST:
+            self.fresh.append(outcome.data)
+
+
 def _of_server(
-    target: Target, folder: Path, count: int, seed: Sequence[int], known: Tally
+    target: Target, folder: Path, count: int, seed: Sequence[int], tally: Tally
 ) -> Iterator[Outcome]:
     """Yield what a server says of each input.
 
@@ -131,9 +150,9 @@ def _of_server(
     context.set_forkserver_preload([__name__])
 
     mine, theirs = context.Pipe(duplex=False)
-    begun = known.answers, known.fresh
+    known = Known(tally.answers, tally.fresh)
     process = context.Process(
-        target=_serve, args=(theirs, target, folder, count, seed, *begun)
+        target=_serve, args=(theirs, target, folder, count, seed, known)
     )
     process.start()
     theirs.close()
@@ -151,39 +170,24 @@ def _serve(
     folder: Path,
     count: int,
     seed: Sequence[int],
-    answers: set[Answer],
-    fresh: list[bytes],
+    known: Known,
 ) -> None:
     # As the program does before it imports Arrow.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    is_alone = all(line[0] in READERS for line in target.lines)
+    most = OF_A_CHILD if is_alone else 1
+    done = 0
     with tempfile.TemporaryFile() as heard:
         # What libraries write past Python.
         os.dup2(heard.fileno(), 2)
-        for number in range(count):
-            rng = np.random.default_rng((*seed, number))
-            pool = fresh if fresh and rng.random() < 0.4 else target.seeds
-            sound = pool[int(rng.integers(len(pool)))]
-            line = target.lines[int(rng.integers(len(target.lines)))]
-            outcome = _in_child(target, folder, sound, line, rng)
-
-            _import(outcome.imported)
-            if heard.seek(0, os.SEEK_END):
-                heard.seek(0)
-                said = heard.read(2000).decode(errors="replace")
-                heard.seek(0)
-                heard.truncate(0)
-                why = outcome.why or "a library writes to the screen"
-                outcome = replace(outcome, why=why, said=outcome.said + said)
-            unheard = outcome.answer not in answers and len(answers) < ANSWERS
-            path = folder / target.file
-            is_kept = path.is_file() and (bool(outcome.why) or unheard)
-            data = path.read_bytes() if is_kept else b""
-            sender.send(replace(outcome, line=line, data=data, imported=()))
-            if unheard:
-                answers.add(outcome.answer)
-                if not outcome.why and 0 < len(data) < LONGEST:
-                    fresh.append(data)
-            _clear(folder)
+        while done < count:
+            numbers = range(done, min(done + most, count))
+            draws = Draws(target, folder, seed, known, heard)
+            for outcome in _of_child(draws, numbers):
+                _import(outcome.imported)
+                known.learn(outcome)
+                sender.send(replace(outcome, imported=()))
+                done += 1
     sender.close()
 
 
@@ -199,66 +203,150 @@ def _import(names: Sequence[str]) -> None:
         gc.freeze()
 
 
-def _in_child(
-    target: Target,
-    folder: Path,
-    sound: bytes,
-    line: Sequence[str],
-    rng: np.random.Generator,
-) -> Outcome:
-    """Damage a sound file and run a command line on it, in a child that may die.
+@dataclass(frozen=True)
+class Draws:
+    """Inputs by their numbers: what is damaged, how, and who reads it."""
 
-    The file is damaged by libraries too, which a file that is damaged already may end.
-    """
-    path = folder / target.file
-    path.unlink(missing_ok=True)
-    words = filled(line, target, folder)
-    patience = PATIENCE_S.get(words[0], CPU_S)
+    target: Target
+    folder: Path
+    seed: Sequence[int]
+    known: Known
+    heard: IO[bytes]
 
-    read, write = os.pipe()
-    child = os.fork()
-    if not child:
+    @property
+    def path(self) -> Path:
+        return self.folder / self.target.file
+
+    def draw(self, number: int) -> tuple[np.random.Generator, bytes, Line]:
+        """Draw a sound file and a command line, from what is known by now."""
+        rng = np.random.default_rng((*self.seed, number))
+        fresh = self.known.fresh
+        pool = fresh if fresh and rng.random() < 0.4 else self.target.seeds
+        sound = pool[int(rng.integers(len(pool)))]
+        line = self.target.lines[int(rng.integers(len(self.target.lines)))]
+        return rng, sound, line
+
+    def tried(self, number: int) -> Outcome:
+        """Damage a file and run a command line on it.
+
+        The file is damaged by libraries too, which a file that is damaged already may
+        end.
+        """
+        self.path.unlink(missing_ok=True)
+        rng, sound, line = self.draw(number)
+        words = filled(line, self.target, self.folder)
+        patience = PATIENCE_S.get(words[0], CPU_S)
         _limit(patience)
         before = len(sys.modules)
-        data, damage = mutated(sound, target.damages, rng)
-        path.write_bytes(data)
-        outcome = _one(folder, words, patience)
+        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+
+        data, damage = mutated(sound, self.target.damages, rng)
+        self.path.write_bytes(data)
+        outcome = _one(self.folder, words, patience)
+        peak = _peak_kib()
         # A look at the names of all modules would copy the pages in which they lie.
         later = max(len(sys.modules) - before, 0)
         imported = tuple(reversed(tuple(islice(reversed(sys.modules), later))))
-        with os.fdopen(write, "wb") as sender:
-            pickle.dump(replace(outcome, damage=damage, imported=imported), sender)
-        os._exit(0)
-    os.close(write)
+        why = outcome.why
+        if peak > PEAK_KIB:
+            why = why or f"memory: {peak >> 10} MiB"
+        outcome = replace(
+            outcome, why=why, line=line, damage=damage, peak=peak, imported=imported
+        )
+        return self.ended(outcome)
 
-    is_told, _, _ = select.select([read], [], [], WALL_S)
-    if not is_told:
-        os.kill(child, signal.SIGKILL)
-    with os.fdopen(read, "rb") as told:
-        content = told.read()
+    def ended(self, outcome: Outcome) -> Outcome:
+        """Add the input and what libraries have said, and clear up."""
+        if self.heard.seek(0, os.SEEK_END):
+            self.heard.seek(0)
+            said = self.heard.read(2000).decode(errors="replace")
+            self.heard.seek(0)
+            self.heard.truncate(0)
+            why = outcome.why or "a library writes to the screen"
+            outcome = replace(outcome, why=why, said=outcome.said + said)
+        if self.path.is_file() and (outcome.why or self.known.is_new(outcome.answer)):
+            outcome = replace(outcome, data=self.path.read_bytes())
+        _clear(self.folder)
+        return outcome
+
+
+def _peak_kib() -> int:
+    """Return the most memory that this process held since its peak began anew."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0])
+
+
+def _of_child(draws: Draws, numbers: Sequence[int]) -> Iterator[Outcome]:
+    """Try inputs one after the other in a child that may die.
+
+    What is not well answered is the last of its child: it may have left something
+    behind. The inputs that follow get another one.
+    """
+    mine, theirs = multiprocessing.Pipe(duplex=False)
+    child = os.fork()
+    if not child:
+        mine.close()
+        _answer_all(theirs, draws, numbers)
+    theirs.close()
+
+    ending: int | None = None  # the number of the input that ended the child
+    stands_still = False
+    seconds_before = 0.0
+    for number in numbers:
+        stands_still = not mine.poll(WALL_S)
+        if stands_still:
+            os.kill(child, signal.SIGKILL)
+        try:
+            outcome: Outcome = mine.recv()
+        except EOFError:
+            ending = number
+            break
+        yield outcome
+        seconds_before += outcome.seconds
+        if outcome.why:
+            break
+    mine.close()
     _, status, used = os.wait4(child, 0)
-    peak = used.ru_maxrss
-    if not is_told:
-        return Outcome("stands still", peak=peak)
-    if status or not content:
-        if not path.is_file():
-            return Outcome("", (-1, "a library that damages files has died"))
-        code = os.waitstatus_to_exitcode(status)
-        spent = used.ru_utime + used.ru_stime
-        return Outcome(f"the process died ({code})", seconds=spent, peak=peak)
-    outcome: Outcome = pickle.loads(content)
-    why = outcome.why
-    if peak > PEAK_KIB:
-        why = why or f"memory: {peak >> 10} MiB"
-    return replace(outcome, why=why, peak=peak)
+    if ending is None:
+        return
+
+    why = f"the process died ({os.waitstatus_to_exitcode(status)})"
+    answer = (-1, "")
+    if stands_still:
+        why = "stands still"
+    elif not draws.path.is_file():
+        why, answer = "", (-1, "a library that damages files has died")
+    _, _, line = draws.draw(ending)
+    ended = Outcome(
+        why=why,
+        answer=answer,
+        line=line,
+        seconds=used.ru_utime + used.ru_stime - seconds_before,
+        peak=used.ru_maxrss,
+    )
+    yield draws.ended(ended)
+
+
+def _answer_all(sender: Connection, draws: Draws, numbers: Sequence[int]) -> NoReturn:
+    """Send what came of inputs, one by one; the process ends here."""
+    try:
+        for number in numbers:
+            outcome = draws.tried(number)
+            draws.known.learn(outcome)
+            sender.send(outcome)
+            if outcome.why:
+                break
+    except BaseException:
+        os._exit(1)
+    os._exit(0)
 
 
 def _limit(patience: float) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     # A signal's handler in Python waits until a library comes back; the kernel does
     # not. Claims of a result are held against a second command.
-    seconds = int(2.0 * patience) + GRACE_S
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    seconds = int(time.process_time() + 2.0 * patience) + GRACE_S
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

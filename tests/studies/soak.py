@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -80,16 +81,28 @@ def lines(folder: Path) -> Iterator[tuple[str, ...]]:
         yield "predict", *words, *torques
 
 
+@dataclass(frozen=True, kw_only=True)
+class Ran:
+    """What a command said and took."""
+
+    code: int
+    said: str
+    peak_mib: int
+    cpu_s: float
+
+
 def measured(line: Sequence[str]) -> tuple[str, ...]:
-    code, said, peak, cpu = _run(line, _limit)
-    enough = "too little memory" not in said
-    if not enough:
-        code, said, peak, cpu = _run(line, None)
+    """Run a command with little memory; with all of it, where that is too little."""
+    ran = run_command(line, _limit)
+    is_enough = "too little memory" not in ran.said
+    if not is_enough:
+        ran = run_command(line)
     label = line[0]
     if "--motion" in line:
         label += f" --motion {line[line.index('--motion') + 1]}"
-    sys.stderr.write(f"{label}: {enough}, {code}: {said[-300:]}\n")
-    return label, "yes" if enough else "says no", str(code), str(peak), f"{cpu:.0f}"
+    enough = "yes" if is_enough else "says no"
+    sys.stderr.write(f"{label}: {enough}, {ran.code}: {ran.said[-300:]}\n")
+    return label, enough, str(ran.code), str(ran.peak_mib), f"{ran.cpu_s:.0f}"
 
 
 def _limit() -> None:
@@ -97,10 +110,8 @@ def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
 
-def _run(
-    line: Sequence[str], limit: Callable[[], None] | None
-) -> tuple[int, str, int, float]:
-    """Exit code, messages, peak memory [MiB] and CPU time [s] of a command."""
+def run_command(line: Sequence[str], limit: Callable[[], None] | None = None) -> Ran:
+    """Run a command in a process of its own, which `limit` may limit."""
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen(
             [sys.executable, "-m", "seqid_cli", *line],
@@ -112,8 +123,12 @@ def _run(
         _, status, used = os.wait4(process.pid, 0)
         messages.seek(0)
         said = messages.read().decode(errors="replace")
-    code = os.waitstatus_to_exitcode(status)
-    return code, said, used.ru_maxrss >> 10, used.ru_utime + used.ru_stime
+    return Ran(
+        code=os.waitstatus_to_exitcode(status),
+        said=said,
+        peak_mib=used.ru_maxrss >> 10,
+        cpu_s=used.ru_utime + used.ru_stime,
+    )
 
 
 def main() -> int:

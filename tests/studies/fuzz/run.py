@@ -238,10 +238,12 @@ class Draws:
         patience = PATIENCE_S.get(words[0], CPU_S)
         _limit(patience)
         before = len(sys.modules)
-        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
 
         data, damage = mutated(sound, self.target.damages, rng)
         self.path.write_bytes(data)
+        del data
+        # The peak begins anew: damaging a file is not what is measured.
+        Path("/proc/self/clear_refs").write_text("5")
         outcome = _one(self.folder, words, patience)
         peak = _peak_kib()
         # A look at the names of all modules would copy the pages in which they lie.

@@ -58,9 +58,9 @@ def toml_shape(data: bytes, rng: np.random.Generator) -> bytes:
             tables = b"".join(b"\n[t%d]\nx = 1" % k for k in range(size))
             return data + tables
         case 3:
-            return (
-                joints[0] + b"[[joint]]" + b"[[joint]]".join(joints[1:] * size)[: 10**6]
-            )
+            tables = b"".join(b"[[joint]]" + joint for joint in joints[1:])
+            times = min(size, 1 + 10**6 // max(len(tables), 1))
+            return joints[0] + (tables * times)[: 10**6]
         case _:
             return data + b"\nx = " + b"{ a = " * size + b"1" + b" }" * size + b"\n"
 

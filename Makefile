@@ -155,10 +155,12 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## damaged files, kills, two hours of log, into docs/evidence/damage.md (hours)
+study-trust: $(DEV) ## damaged files, kills, slow and many logs, two hours of log, into docs/evidence/damage.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --readers --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.kills --write
+	$(BIN)/python -m tests.studies.many_logs --write
+	$(BIN)/python -m tests.studies.slow_files --write
 	$(BIN)/python -m tests.studies.soak --write
 
 .PHONY: mutants

@@ -71,18 +71,25 @@ def test_a_variance_that_rounding_makes_negative_is_none() -> None:
     assert values.tolist() == [0.1, 0.0]
 
 
-def test_the_one_that_is_furthest_beyond_in_its_errors_goes_first() -> None:
-    """Known well, it takes the other one back within its bounds."""
+@pytest.mark.parametrize(
+    ("beyond", "expected"),
+    [([-0.0015, -0.005], [0.0, 0.0085]), ([-0.0005, -0.015], [0.00085, 0.0])],
+    ids=["the better known", "the worse known"],
+)
+def test_the_one_that_is_furthest_beyond_in_its_errors_goes_first(
+    beyond: list[float], expected: list[float]
+) -> None:
+    """At its bound, it takes the other one back within its bounds."""
     std = np.array([0.001, 0.01])
     correlation = np.array([[1.0, 0.9], [0.9, 1.0]])
     values = within_bounds(
         GEAR,
-        np.array([-0.0015, -0.005]),
+        np.array(beyond),
         correlation * np.outer(std, std),
         ONE_SIZE,
         negligible_share=0.0,
     )
-    assert values == pytest.approx([0.0, 0.0085])
+    assert values == pytest.approx(expected)
 
 
 def test_without_any_variance_it_is_at_the_bound_by_the_law_alone() -> None:

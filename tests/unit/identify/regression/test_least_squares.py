@@ -7,7 +7,9 @@ from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
     Accumulator,
     Prior,
+    _filled_columns,
     solve,
+    spread_of,
     triangular,
 )
 from seqid_cli.identify.regression.least_squares import whitened as rows_of
@@ -129,6 +131,19 @@ def test_a_covariance_in_any_unit_makes_a_prior(size: float) -> None:
     covariance = size * np.array([[2.0, 0.6], [0.6, 0.5]])
     L = rows_of(covariance)
     np.testing.assert_allclose(L.T @ L, np.linalg.inv(covariance), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_what_is_rounding_goes_by_the_largest_column(size: float) -> None:
+    filled = _filled_columns(size * np.array([[1.0, 1e-12, 1e-6]]))
+    assert filled.tolist() == [True, False, True]
+
+
+def test_the_jackknife_counts_its_blocks() -> None:
+    """G moves have (G - 1) / G of the sum of their squares; a single one has all."""
+    assert spread_of(np.array([[2.0]])).tolist() == [[4.0]]
+    assert spread_of(np.array([[2.0], [-2.0]])).tolist() == [[4.0]]
+    assert spread_of(np.array([[2.0], [-2.0], [0.0], [0.0]])).tolist() == [[6.0]]
 
 
 @pytest.mark.parametrize("quiet", [1e-3, 1e-7, 1e-11])

@@ -56,6 +56,20 @@ def test_what_is_common_to_a_trial_is_taken_out(common: float) -> None:
     assert of_sums == pytest.approx(of_rows, rel=0.4)
 
 
+def test_noise_is_common_within_a_log_alone() -> None:
+    """Whitened, a row of one log has no part in another log's rows."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 1.0, COUNT)
+    noise += np.repeat(rng.normal(0.0, 3.0, TRIALS), PER_TRIAL)
+    log = np.repeat([0, 1], COUNT // 2)
+    of_two_logs = replace(rows(noise, np.ones(COUNT)), log=log)
+    whitened = whitener_of(of_two_logs)(np.eye(COUNT))
+
+    is_other = log[:, None] != log[None, :]
+    assert not whitened[is_other].any()
+    assert np.count_nonzero(whitened) > COUNT
+
+
 def test_rows_of_more_samples_have_less_noise() -> None:
     rng = np.random.default_rng(0)
     weight = np.where(np.arange(COUNT) % 2 == 0, 1.0, 16.0)

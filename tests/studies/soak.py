@@ -71,8 +71,9 @@ def lines(folder: Path) -> Iterator[tuple[str, ...]]:
     out = str(folder / "out.json")
 
     yield "inspect", motion, *robot
-    yield "friction", str(folder / "friction.parquet"), *robot, "-o", out
-    yield "gravity", str(folder / "gravity.parquet"), *model, "-o", out
+    friction = str(folder / "friction.json")
+    yield "friction", str(folder / "friction.parquet"), *robot, "-o", friction
+    yield "gravity", str(folder / "gravity.parquet"), *robot, "-p", friction, "-o", out
     yield "diagnose", motion, *model, "-o", out
     torques = ("--torques", str(folder / "torques.parquet"))
     for source in ("encoder", "auto"):

@@ -15,9 +15,10 @@ row's,
 The three strengths maximise the restricted likelihood (H. D. Patterson and R. Thompson,
 "Recovery of inter-block information when block sizes are unequal", Biometrika 58(3),
 1971): what the fitted parameters take away is allowed for. Rows divided by V's root are
-generalised least squares.
+generalised least squares. A log of more than `MOST_ROWS` rows counts as several.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,10 @@ from seqid_cli.typing import Array, Index
 # it has one maximum where noise is common to trials, as an offset of the torque is, and
 # another elsewhere.
 STARTS = ((0.0, 0.0, 0.0), (-4.0, 2.0, -4.0))
+# Rows whose covariance is held as a whole, and factored for each strength that is
+# tried: more take gigabytes (two hours of trials are 9,600 rows). A longer log counts
+# as several that were recorded one after the other.
+MOST_ROWS = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +59,12 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
 
     # A part's strength against white noise counts from `least` on.
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
-    logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
+    whole_logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
+    logs = [
+        part
+        for at in whole_logs
+        for part in np.array_split(at, math.ceil(len(at) / MOST_ROWS))
+    ]
     shapes = [_shapes(rows, at) for at in logs]
 
     # Independent of any strength: the scale of the residual.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from seqid_cli.identify.regression import slow_noise
 from seqid_cli.identify.regression.slow_noise import (
     Rows,
     _restricted,
@@ -66,6 +67,24 @@ def test_noise_is_common_within_a_log_alone() -> None:
     whitened = whitener_of(of_two_logs)(np.eye(COUNT))
 
     is_other = log[:, None] != log[None, :]
+    assert not whitened[is_other].any()
+    assert np.count_nonzero(whitened) > COUNT
+
+
+def test_a_long_log_takes_no_more_memory_than_its_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No covariance is of more rows, and rows of different parts stay apart."""
+    most = COUNT // 4
+    monkeypatch.setattr(slow_noise, "MOST_ROWS", most)
+    noise = np.random.default_rng(0).normal(0.0, 1.0, COUNT)
+    shuffled = np.random.default_rng(1).permutation(COUNT)
+    whole = rows(noise, np.ones(COUNT))
+    fields = {name: getattr(whole, name)[shuffled] for name in vars(whole)}
+    whitened = whitener_of(Rows(**fields))(np.eye(COUNT))
+
+    part = np.argsort(np.argsort(fields["t"])) // most
+    is_other = part[:, None] != part[None, :]
     assert not whitened[is_other].any()
     assert np.count_nonzero(whitened) > COUNT
 

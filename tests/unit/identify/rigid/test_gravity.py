@@ -9,6 +9,7 @@ import pytest
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.nuisances import PRIORS, friction_rms
+from seqid_cli.identify.regression import slow_noise
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
 from seqid_cli.identify.rigid.gravity_rows import GravityRows
 from seqid_cli.identify.rigid.posterior import friction_covariance
@@ -122,3 +123,21 @@ def test_errors_hold_with_what_friction_has_alike_both_ways_and_not_without() ->
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(total)) >= 0.90
     assert np.mean(error**2 / total) > 0.4
     assert np.mean(np.abs(error_held) < 1.96 * np.sqrt(held)) < 0.85
+
+
+def test_a_long_log_counts_as_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rows say the same to within their errors, which stay what they are."""
+    surface = surface_of(POSITIVE, NEGATIVE, np.zeros((12, 12)))
+
+    def solved() -> tuple[Array, Array]:
+        rows = GravityRows(held_joints(), [surface], FrictionStage(joints={}))
+        joints = [Accumulator(rows.columns)]
+        rows.add_joint(trials(np.random.default_rng(0)), joints)
+        solution = solve(joints, prior=drive_prior(surface), nuisances=slice(2, None))
+        return solution.theta[:2], np.sqrt(np.diag(solution.covariance)[:2])
+
+    expected, std_error = solved()
+    monkeypatch.setattr(slow_noise, "MOST_ROWS", 20)
+    theta, std_error_of_parts = solved()
+    assert np.all(np.abs(theta - expected) < std_error)
+    assert std_error_of_parts == pytest.approx(std_error, rel=0.5)

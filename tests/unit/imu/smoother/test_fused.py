@@ -12,7 +12,6 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.imu.link_acceleration import best_motion
-from seqid_cli.imu.smoother import fused as fused_module
 from seqid_cli.imu.smoother.fused import fused_motion
 from seqid_cli.imu.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
@@ -155,7 +154,7 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
         counted.append(arguments)
         return smoothed_motion(*arguments)
 
-    monkeypatch.setattr(fused_module, "smoothed_motion", smooth)
+    monkeypatch.setattr("seqid_cli.imu.smoother.smooth.smoothed_motion", smooth)
     noisy = s.recording.q.copy()
     noisy[100] += 0.01
     first = changed(s, q=noisy)

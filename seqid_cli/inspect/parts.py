@@ -36,14 +36,24 @@ from seqid_cli.robot.types import Array, Imu, Robot
 
 
 class Inspected(NamedTuple):
-    """One log, its findings, and its first and last stamp [s, its own clock]."""
+    """One log and what was found in it.
+
+    Attributes
+    ----------
+    log : InspectedLog
+        What it holds.
+    findings : tuple of InspectionFinding
+        What is wrong with it.
+    stamps_s : tuple of float, optional
+        Its first and last stamp [s, its own clock].
+    names : frozenset of str
+        Joints in the messages of all parts; empty where these are not known.
+    """
 
     log: InspectedLog
     findings: tuple[InspectionFinding, ...]
     stamps_s: tuple[float, float] | None = None
-    names: frozenset[str] = (
-        frozenset()
-    )  # in the messages of all parts, if they are told
+    names: frozenset[str] = frozenset()
 
 
 @dataclass(kw_only=True)

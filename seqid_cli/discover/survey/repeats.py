@@ -66,11 +66,6 @@ class Blocks:
     group: Index
     moment: Index
 
-    @property
-    def count(self) -> int:
-        """Number of blocks."""
-        return len(self.group)
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Clock:
@@ -150,42 +145,47 @@ class _Phase:
 def _phases(scenes: Sequence[Scene]) -> list[_Phase]:
     """Return where every data set is in its motion, sample by sample."""
     clocks = _clocks(scenes)
+    begin_s = [clock.start_s for clock in clocks]
+    end_s = [
+        clock.start_s + float(scene.motion.t[-1] - scene.motion.t[0])
+        for scene, clock in zip(scenes, clocks, strict=True)
+    ]
     phases: list[_Phase] = []
     for scene, clock in zip(scenes, clocks, strict=True):
         motion = scene.motion
-        same = [
-            (other.start_s, other.start_s + float(log.motion.t[-1] - log.motion.t[0]))
-            for log, other in zip(scenes, clocks, strict=True)
-            if other.motion == clock.motion
-        ]
-        begin_s = min(start for start, _ in same)
-        length_s = max(stop for _, stop in same) - begin_s
-        length_s = max(min(length_s, clock.period_s), 1e-9)
+        same = [i for i, other in enumerate(clocks) if other.motion == clock.motion]
+        first_s = min(begin_s[i] for i in same)
+        extent_s = max(end_s[i] for i in same) - first_s
+        length_s = max(min(extent_s, clock.period_s), 1e-9)
+
+        comes_again = len(same) > 1 or np.isfinite(clock.period_s)
         n_parts = max(1, round(length_s / BLOCK_S))
         n_moments = scene.samples
-        if len(same) > 1 or np.isfinite(clock.period_s):
+        if comes_again:
             n_parts = max(n_parts, FEWEST_BLOCKS)
             n_parts += 1 - n_parts % 2
+            # A moment is in one part: rows that share noise are left out together.
             kept_hz = motion.rate_hz / stride_of(motion)
             n_moments = n_parts * max(1, round(length_s * kept_hz / n_parts))
 
-        share = (motion.t - motion.t[0] + clock.start_s - begin_s) / length_s
+        share = (motion.t - motion.t[0] + clock.start_s - first_s) / length_s
         if np.isfinite(clock.period_s):
             share = np.mod(share, 1.0)
-
-        def at(share: Array, count: int) -> Index:
-            of_length = np.minimum(np.floor(share * count), count - 1)
-            return np.asarray(of_length, dtype=np.intp)
-
         phases.append(
             _Phase(
                 motion=clock.motion,
-                part=at(share, n_parts),
-                moment=at(share, n_moments),
+                part=_numbered(share, n_parts),
+                moment=_numbered(share, n_moments),
                 n_moments=n_moments,
             )
         )
     return phases
+
+
+def _numbered(share: Array, count: int) -> Index:
+    """Return in which of so many equal parts shares (N,) from 0 to 1 are."""
+    number = np.minimum(np.floor(share * count), count - 1)
+    return np.asarray(number, dtype=np.intp)
 
 
 def _clocks(scenes: Sequence[Scene]) -> list[_Clock]:

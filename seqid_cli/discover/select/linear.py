@@ -1054,9 +1054,10 @@ class LinearModel:
         if recurring is None:
             return None
         columns = [term.columns[channel] for term in terms]
-        scaled = recurring.taken_off(self._of_unit_noise(channel, columns))
-        scaled *= self._root[channel][:, None]
-        return scaled
+        scaled = _weighted(self._root[channel], columns)
+        precise = recurring.taken_off_twice(scaled)
+        precise *= self._root[channel][:, None]
+        return precise
 
 
 @dataclass(frozen=True, kw_only=True)

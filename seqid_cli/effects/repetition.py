@@ -90,8 +90,13 @@ def _difference(x: Array, longest: int) -> Array:
 def _lowest(difference: Array, start: int, stop: int) -> float:
     """Return the lag of the smallest value from start to stop, by a parabola."""
     k = start + int(np.argmin(difference[start : stop + 1]))
-    if not 0 < k < len(difference) - 1:
-        return float(k)
-    before, here, after = difference[k - 1 : k + 2]
+    return k + vertex(difference, k)
+
+
+def vertex(values: Array, at: int) -> float:
+    """Return how far from a lowest value the parabola through its neighbours is."""
+    if not 0 < at < len(values) - 1:
+        return 0.0
+    before, here, after = values[at - 1 : at + 2]
     bend = before - 2.0 * here + after
-    return float(k + 0.5 * (before - after) / bend) if bend > 0.0 else float(k)
+    return float(0.5 * (before - after) / bend) if bend > 0.0 else 0.0

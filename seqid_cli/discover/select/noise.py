@@ -223,14 +223,8 @@ def _moments(stage: CandidateColumns) -> list[Moments]:
     rows = stage.rows
     moments: list[Moments] = []
     for joint in range(rows.n):
-        counts = [used[:, joint] for used in rows.used]
-        number = [
-            moment[of_scene]
-            for moment, of_scene in zip(rows.moment, counts, strict=True)
-        ]
-        lengths = [len(of_scene) for of_scene in number]
-        log = np.repeat(np.arange(len(number)), lengths)
-        moments.append(Moments.of(np.concatenate(number), log))
+        log = rows.log_of_block[rows.blocks_of(joint)]
+        moments.append(Moments.of(rows.of_kept(joint, rows.moment), log))
     return moments
 
 
@@ -277,11 +271,4 @@ def _windows(stage: CandidateColumns, *, window_s: float = 0.3) -> list[Index]:
         window_by_scene.append((t[samples] / window_s).astype(np.intp) + first)
         first += int(t[-1] / window_s) + 1
 
-    windows = []
-    for joint in range(rows.n):
-        parts = [
-            window[used[:, joint]]
-            for window, used in zip(window_by_scene, rows.used, strict=True)
-        ]
-        windows.append(np.concatenate(parts))
-    return windows
+    return [rows.of_kept(joint, window_by_scene) for joint in range(rows.n)]

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.effects.repetition import vertex
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.motion import Motion
 from seqid_cli.spectra import correlated
@@ -264,7 +265,7 @@ def _time_after(first: Array, second: Array) -> float:
     if first is second:
         candidates = candidates[: np.argmax(np.append(np.diff(candidates), 2) > 1) + 1]
     best = int(candidates[np.argmin(difference[candidates])])
-    return float(lags[best] + _vertex(difference, best)) / GRID_HZ
+    return float(lags[best] + vertex(difference, best)) / GRID_HZ
 
 
 def _difference(first: Array, second: Array, lags: Index) -> Array:
@@ -303,12 +304,3 @@ def _difference(first: Array, second: Array, lags: Index) -> Array:
         motion += squares
         motion -= (summed(x, start) ** 2 + summed(y, start - lags) ** 2) / count
     return np.asarray(apart / motion)
-
-
-def _vertex(values: Array, at: int) -> float:
-    """Return how far from a lowest value the parabola through its neighbours is."""
-    if not 0 < at < len(values) - 1:
-        return 0.0
-    before, here, after = values[at - 1 : at + 2]
-    bend = before - 2.0 * here + after
-    return float(0.5 * (before - after) / bend) if bend > 0.0 else 0.0

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.discover.survey.repeats import (
@@ -33,6 +34,7 @@ from seqid_cli.discover.survey.repeats import (
 from seqid_cli.discover.survey.reversals import Reversal, Whitening, reversals_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.model.torque import REACH
+from seqid_cli.running import Number
 from seqid_cli.typing import Array, Index, Mask
 
 FOLDS = 10
@@ -103,11 +105,7 @@ class Rows:
 
     def blocks_of(self, joint: int) -> Index:
         """Return the block (M_j,) of every row of a joint."""
-        parts = [
-            block[used[:, joint]]
-            for block, used in zip(self.block, self.used, strict=True)
-        ]
-        return np.concatenate(parts)
+        return self.of_kept(joint, self.block)
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered values.
@@ -132,7 +130,7 @@ class Rows:
         ]
         return np.concatenate(parts)
 
-    def of_kept(self, joint: int, values: Sequence[Array]) -> Array:
+    def of_kept(self, joint: int, values: Sequence[NDArray[Number]]) -> NDArray[Number]:
         """Stack the joint's rows of values (M, ...) at the kept samples alone."""
         parts = [
             of_scene[used[:, joint]]
